@@ -22,15 +22,15 @@ from benchmarks.view import archive
 from tests.coordinator.recorded_runs import SHAPE, record
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.monitor.records import BusRecords
-from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
-from qdgrasp_coordinator.monitor.web.scene_data import HEADER
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.monitor.records import BusRecords
+from qdgrasp_tools.monitor.web.run_cache import RunCaches
+from qdgrasp_tools.monitor.web.scene_data import HEADER
 
 ROWS = 4
 """Rows of the journal for each success."""
@@ -65,7 +65,7 @@ def recorded(path: Path, rows: Rows) -> Path:
 @contextmanager
 def recording(folder: Path, endpoint: str) -> Iterator[int]:
     """A recorder of a folder; gives its process id once it is there."""
-    command = [sys.executable, "-m", "qdgrasp_coordinator.cli.recorder_process", "--connect", endpoint]
+    command = [sys.executable, "-m", "qdgrasp_tools.cli.recorder_process", "--connect", endpoint]
     with subprocess.Popen([*command, "--job", folder.name, "--out", str(folder)]) as process:
         try:
             with ZenohBus.connect(endpoint, WAIT) as bus:

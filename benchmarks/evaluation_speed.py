@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.catalog import build_scene, gripper_names, object_names
 from qdgrasp_assets.genes import layout
-from qdgrasp_coordinator.local.benchmark_figures import BENCH_PRIOR, PoseRegime, RegimeSearch
 from qdgrasp_coordinator.scheduler.batch_queue import BATCH_SECONDS, FIRST_ROWS
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.registry import method, prior_of
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
+from qdgrasp_tools.local.benchmark_figures import BENCH_PRIOR, PoseRegime, RegimeSearch
 from qdgrasp_worker.candidate_ranking import PoseFeatures
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
-from qdgrasp_coordinator.report.figure_grid import FAINT, INK, RULE, FigureGrid, panel_heading, plain_axes
+from qdgrasp_tools.report.figure_grid import FAINT, INK, RULE, FigureGrid, panel_heading, plain_axes
 
 NAME = "where-the-time-goes"
 COLOURS = {

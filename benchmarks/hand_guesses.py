@@ -26,19 +26,19 @@ from qdgrasp_assets.gripper_setup.posture_checks import HandPostures
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.grippers.hand_model import read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf, read_urdf
-from qdgrasp_coordinator.campaign.campaign_file import make_campaign
-from qdgrasp_coordinator.campaign.campaign_folder import begin_campaign
-from qdgrasp_coordinator.cli.options import cores
-from qdgrasp_coordinator.cli.run_commands import run_job
-from qdgrasp_coordinator.local.progress import progress_display
-from qdgrasp_coordinator.local.supervisor import LocalJobConfig
-from qdgrasp_coordinator.rendering.drawings import draw_gripper
 from qdgrasp_coordinator.scheduler.run_plan import RUN_DEFAULTS
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.text import join_numbers
+from qdgrasp_tools.campaign.campaign_file import make_campaign
+from qdgrasp_tools.campaign.campaign_folder import begin_campaign
+from qdgrasp_tools.cli.options import cores
+from qdgrasp_tools.cli.run_commands import run_job
+from qdgrasp_tools.local.progress import progress_display
+from qdgrasp_tools.local.supervisor import LocalJobConfig
+from qdgrasp_tools.rendering.drawings import draw_gripper
 
 
 @dataclass(frozen=True)

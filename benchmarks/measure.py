@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from rich.table import Table
 
-from qdgrasp_coordinator.local.benchmark_figures import node_info
+from qdgrasp_tools.local.benchmark_figures import node_info
 
 
 class StageTimer:

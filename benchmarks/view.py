@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 from tests import browser
-from tests.coordinator.monitor.web.conftest import FakeFeed, HandMadeRecords, finds, serving
 from tests.coordinator.scenes import made_scene
+from tests.tools.monitor.web.conftest import FakeFeed, HandMadeRecords, finds, serving
 
-from qdgrasp_coordinator.monitor.web.run_cache import RunCaches
 from qdgrasp_coordinator.storage.success_pages import MOST_SUCCESSES, SuccessTable
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_tools.monitor.web.run_cache import RunCaches
 
 INSIDE = 10  # cells; the object is within this distance of the middle
 IS_SHOWN = "(words) => document.querySelector('#scene-words').textContent.startsWith(words)"

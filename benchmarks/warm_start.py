@@ -12,11 +12,11 @@ import msgspec
 import numpy as np
 from benchmarks.single_run import SingleRun, run
 
-from qdgrasp_coordinator.campaign.warm_start import learned_weights, replayed_search
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, prepare_scene
 from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import FirstWeights, RunSpec
+from qdgrasp_tools.campaign.warm_start import learned_weights, replayed_search
 
 MILESTONES = (250, 500, 1000)
 PARTS = {"nothing": (), "cells": ("cell_touch", "cell_quality"), "candidates": ("touch", "quality")}

@@ -1,4 +1,5 @@
 import os
+import threading
 from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
@@ -7,7 +8,13 @@ from typing import Any
 import pytest
 import structlog
 from hypothesis import settings
+from tests.coordinator.scenes import SceneMaker, made_scene
+from tests.fakes.recorder import FakeCoordinator
 from xdist.scheduler import LoadScopeScheduling
+
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_protocol.memory_bus import MemoryNetwork
 
 settings.register_profile("shared", deadline=None)  # machines are shared: an example's time means nothing
 settings.load_profile("shared")
@@ -105,3 +112,34 @@ def asset_path(reference_data: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The reference data, set as the asset path."""
     monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
     return reference_data
+
+
+@pytest.fixture
+def network() -> MemoryNetwork:
+    return MemoryNetwork()
+
+
+@pytest.fixture
+def coordinator(network: MemoryNetwork) -> FakeCoordinator:
+    return FakeCoordinator(network.session())
+
+
+@pytest.fixture
+def room(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """An event: until it is set, journals have no room to grow."""
+    room, append = threading.Event(), JournalWriter.append
+
+    def limited(journal: JournalWriter, part: JournalSlice, epoch: int, now: float) -> None:
+        pages = 1_000_000 if room.is_set() else 1
+        journal._database.execute(f"PRAGMA max_page_count = {pages}")
+        append(journal, part, epoch, now)
+
+    monkeypatch.setattr(JournalWriter, "append", limited)
+    monkeypatch.setattr("qdgrasp_coordinator.recorder.recorder.RETRY_INTERVAL", 0.02)
+    return room
+
+
+@pytest.fixture
+def make_scene() -> SceneMaker:
+    """Makes scenes of the jaw with a given name, and an object with given hulls."""
+    return made_scene

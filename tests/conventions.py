@@ -18,7 +18,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
-MOST_MODULES = 292
+MOST_MODULES = 293
 MOST_LINES = 63_150
 MOST_TEST_FILES = 334
 MOST_TEST_LINES = 63_850

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import typer
 
-from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_protocol.rows import COLUMNS, Outcome
+from qdgrasp_tools.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPERS = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]

@@ -24,9 +24,9 @@ from benchmarks.leave_one_out.runs import (
 from benchmarks.results.programme import TUNING
 from benchmarks.results.table import locked
 
-from qdgrasp_coordinator.cli.options import cores
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_tools.cli.options import cores
 
 RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results"
 TABLE, PAGE = "leave-one-out.csv", "leave-one-out.md"

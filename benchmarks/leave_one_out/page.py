@@ -28,7 +28,7 @@ from benchmarks.leave_one_out.runs import (
 )
 from benchmarks.results.programme import TUNING
 
-from qdgrasp_coordinator.report.tables import markdown_table
+from qdgrasp_tools.report.tables import markdown_table
 
 INTRODUCTION = f"""# Constants refitted without one object
 

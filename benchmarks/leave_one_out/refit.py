@@ -14,7 +14,7 @@ from benchmarks.leave_one_out.grid import GRID, TODAY, VARIANTS, Values, variant
 from benchmarks.leave_one_out.runs import HELD_OUT, HELD_OUT_SEEDS, Table, tuning_runs
 from benchmarks.results.programme import TUNING
 
-from qdgrasp_coordinator.report.bootstrap import (
+from qdgrasp_tools.report.bootstrap import (
     ConfidenceInterval,
     RunValues,
     difference_interval,

@@ -2,7 +2,7 @@
 
 Each hand closes on each object in a run; its grasps are written as Parquet, read again by a reader that
 shares nothing with qdgrasp, and the closed hand is put where the file says, as convex bodies of its own
-(`tests.coordinator.export.collision_bodies`). Lengths are mm. Depths are compared with the recorded ones,
+(`tests.tools.export.collision_bodies`). Lengths are mm. Depths are compared with the recorded ones,
 which Bullet took before its last step: of the bodies as they are, and of those grown by Bullet's margin.
 A contact is a point on the object: where bodies are inside each other it may be off the link by their depth.
 """
@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 from tests.common import own_endpoint
-from tests.coordinator.export.collision_bodies import MARGIN, Bodies
-from tests.coordinator.export.independent_readers import READERS, closed_hands
+from tests.tools.export.collision_bodies import MARGIN, Bodies
+from tests.tools.export.independent_readers import READERS, closed_hands
 
 import qdgrasp
 

@@ -9,10 +9,10 @@ from benchmarks.results.measure import HEX, codes_here
 from benchmarks.results.programme import HOME, Costs, chosen, ordered, programme
 from benchmarks.results.work import Store, run_missing
 
-from qdgrasp_coordinator.cli import options
-from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.process import lifetime
+from qdgrasp_tools.cli import options
+from qdgrasp_tools.local.supervisor import LocalJobConfig
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLE = ROOT / "docs" / "results" / "runs.csv"

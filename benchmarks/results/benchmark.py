@@ -32,22 +32,22 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.report.bootstrap import (
+from qdgrasp_protocol.text import counted
+from qdgrasp_tools.report.bootstrap import (
     CONFIDENCE_LEVEL,
     LEAST_SCENES,
     ConfidenceInterval,
     ScenesOfRuns,
     ratio_interval,
 )
-from qdgrasp_coordinator.report.figure_grid import (
+from qdgrasp_tools.report.figure_grid import (
     FigureGrid,
     MethodVariant,
     line_styles,
     panel_heading,
     plain_axes,
 )
-from qdgrasp_coordinator.report.tables import markdown_table
-from qdgrasp_protocol.text import counted
+from qdgrasp_tools.report.tables import markdown_table
 
 FIGURE = "cells-that-hold"
 PROTOCOL = "physical in mujoco"

@@ -9,7 +9,9 @@ from benchmarks.results.programme import Programme
 from benchmarks.results.table import CPU_MILESTONES, Key, Row
 from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp_coordinator.report.bootstrap import (
+from qdgrasp_coordinator.search.registry import method
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.report.bootstrap import (
     CONFIDENCE_LEVEL,
     LEAST_RUNS,
     LEAST_SCENES,
@@ -19,9 +21,7 @@ from qdgrasp_coordinator.report.bootstrap import (
     difference_interval,
     ratio_interval,
 )
-from qdgrasp_coordinator.report.tables import markdown_table
-from qdgrasp_coordinator.search.registry import method
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.report.tables import markdown_table
 
 ANY = RunSpec(gripper="any", object="any")
 DEFAULT = ANY.method

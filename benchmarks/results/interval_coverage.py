@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
-from qdgrasp_coordinator.report.bootstrap import (
+from qdgrasp_tools.report.bootstrap import (
     LEAST_SCENES,
     difference_interval,
     ratio_interval,
     resample,
 )
-from qdgrasp_coordinator.report.tables import markdown_table
+from qdgrasp_tools.report.tables import markdown_table
 
 Values = NDArray[np.float64]
 DESIGNS = ((1, 5), (1, 10), (3, 5), (3, 10), (10, 5), (20, 5), (50, 5))

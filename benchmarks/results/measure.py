@@ -15,14 +15,14 @@ from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup, Refe
 from qdgrasp_coordinator.metrics.run_stats import count_rows, evaluation_mask
 from qdgrasp_coordinator.metrics.success_metrics import SuccessHistory, SuccessMetrics, diversity
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
-from qdgrasp_coordinator.report.row_report import empty_niche_archive
-from qdgrasp_coordinator.report.run_groups import search_run_folders
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.engines import DEFAULT_ENGINE, EngineChoice, engine_names
 from qdgrasp_protocol.rows import Outcome, Rows, trial_count
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.report.row_report import empty_niche_archive
+from qdgrasp_tools.report.run_groups import search_run_folders
 from qdgrasp_worker.engines import ENGINES
 from qdgrasp_worker.platform import code_digest, worlds
 from qdgrasp_worker.syntax_digest import syntax_digest

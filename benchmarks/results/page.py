@@ -22,7 +22,7 @@ from benchmarks.results.reference_sets import SceneSet, sets_part
 from benchmarks.results.table import MILESTONES, Key, Row
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.report.tables import markdown_table
+from qdgrasp_tools.report.tables import markdown_table
 
 LEAST = 10_000
 """The smallest budget that has a line [counted evaluations]."""

@@ -13,17 +13,17 @@ from benchmarks.results.comparison import ANY, COVERAGE, Arm, changed, settings_
 from benchmarks.results.table import MILESTONES
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.report import claims
-from qdgrasp_coordinator.report.bootstrap import (
+from qdgrasp_protocol.text import counted
+from qdgrasp_tools.report import claims
+from qdgrasp_tools.report.bootstrap import (
     CONFIDENCE_LEVEL,
     LEAST_RUNS,
     ConfidenceInterval,
     ratio_interval,
     share_interval,
 )
-from qdgrasp_coordinator.report.claims import CLAIMS, ClaimAgreement, PaperClaim, agreement_of_all
-from qdgrasp_coordinator.report.tables import markdown_table
-from qdgrasp_protocol.text import counted
+from qdgrasp_tools.report.claims import CLAIMS, ClaimAgreement, PaperClaim, agreement_of_all
+from qdgrasp_tools.report.tables import markdown_table
 
 JAW = "panda"
 """The hand for which the paper has antipodal methods."""

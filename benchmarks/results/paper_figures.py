@@ -9,7 +9,8 @@ from benchmarks.results.paper_claims import sigma_of
 from benchmarks.results.table import MILESTONES
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from qdgrasp_coordinator.report.figure_grid import (
+from qdgrasp_protocol.text import counted
+from qdgrasp_tools.report.figure_grid import (
     FigureGrid,
     evaluation_axis,
     line_styles,
@@ -17,8 +18,7 @@ from qdgrasp_coordinator.report.figure_grid import (
     plain_axes,
     value_axis,
 )
-from qdgrasp_coordinator.report.figures import COMPARED_METHODS, legend_width, method_legend
-from qdgrasp_protocol.text import counted
+from qdgrasp_tools.report.figures import COMPARED_METHODS, legend_width, method_legend
 
 FIGURE = "paper-figures"
 BUDGET = 5000

@@ -10,9 +10,9 @@ from benchmarks.results import assets
 from benchmarks.results.table import Key, Row, key
 from msgspec import structs
 
-from qdgrasp_coordinator.campaign.campaign_file import Campaign, read_campaign
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.campaign.campaign_file import Campaign, read_campaign
 
 HOME = Path(__file__).resolve().parents[2] / "deploy" / "results"
 

@@ -19,14 +19,14 @@ from benchmarks.results.measure import rows_digest
 from benchmarks.results.table import Key, Row, disk_text
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.cli.reference_commands import ENOUGH
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, read_references
-from qdgrasp_coordinator.report.bootstrap import LEAST_RUNS
-from qdgrasp_coordinator.report.reference_builder import build_reference_sets
-from qdgrasp_coordinator.report.tables import markdown_table
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.run_folder import RunFolder, search_digest
 from qdgrasp_protocol.errors import InputError
+from qdgrasp_tools.cli.reference_commands import ENOUGH
+from qdgrasp_tools.report.bootstrap import LEAST_RUNS
+from qdgrasp_tools.report.reference_builder import build_reference_sets
+from qdgrasp_tools.report.tables import markdown_table
 
 FOLDER = "reference-sets"
 """Name of their folder beside the table."""

@@ -26,14 +26,7 @@ from msgspec import structs
 
 import qdgrasp_coordinator
 from qdgrasp_assets.catalog import check_object, find_gripper
-from qdgrasp_coordinator.campaign.campaign_file import Campaign, make_campaign, read_campaign
-from qdgrasp_coordinator.campaign.campaign_folder import begin_campaign
-from qdgrasp_coordinator.cli.run_commands import run_job
-from qdgrasp_coordinator.local.progress import progress_display
-from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
-from qdgrasp_coordinator.report.figure_grid import FIGURE_DPI
-from qdgrasp_coordinator.report.run_groups import search_run_folders
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
@@ -41,6 +34,13 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.spec import RunSpec, to_values
+from qdgrasp_tools.campaign.campaign_file import Campaign, make_campaign, read_campaign
+from qdgrasp_tools.campaign.campaign_folder import begin_campaign
+from qdgrasp_tools.cli.run_commands import run_job
+from qdgrasp_tools.local.progress import progress_display
+from qdgrasp_tools.local.supervisor import LocalJobConfig
+from qdgrasp_tools.report.figure_grid import FIGURE_DPI
+from qdgrasp_tools.report.run_groups import search_run_folders
 from qdgrasp_worker.platform import platform
 
 PAGE = "index.md"

@@ -29,8 +29,6 @@ from benchmarks.scale.rig import (
 from benchmarks.scale.throughput import BATCH, IN_FLIGHT, POPULATION, WARM_UP, WORKERS, ConstantSearch, spec
 from tests.common import own_endpoint
 
-from qdgrasp_coordinator.local.node_benchmark import PlatformSink
-from qdgrasp_coordinator.monitor.feed import Feed
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan
 from qdgrasp_protocol.bus import Channel
@@ -38,6 +36,8 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.session import parse_endpoints, session_settings, to_json5
 from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.local.node_benchmark import PlatformSink
+from qdgrasp_tools.monitor.feed import Feed
 
 PAUSE = 0.5
 """Seconds before a window."""

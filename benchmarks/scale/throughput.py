@@ -27,9 +27,6 @@ from benchmarks.scale.rig import (
 )
 from tests.coordinator.search.synthetic_scene import plain
 
-from qdgrasp_coordinator.local.benchmark_figures import BENCH_METHOD
-from qdgrasp_coordinator.local.node_benchmark import PlatformSink, SceneBenchmark
-from qdgrasp_coordinator.local.progress import LineProgress
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import (
     RUN_DEFAULTS,
@@ -45,6 +42,9 @@ from qdgrasp_protocol.process import ProcessGroup, Stop
 from qdgrasp_protocol.rows import Genomes, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.local.benchmark_figures import BENCH_METHOD
+from qdgrasp_tools.local.node_benchmark import PlatformSink, SceneBenchmark
+from qdgrasp_tools.local.progress import LineProgress
 
 WORKERS = 8
 BATCH = 64
@@ -285,7 +285,7 @@ def _run(name: str) -> RunPlan:
 @contextmanager
 def _recorder(endpoint: str, out: Path) -> Iterator[subprocess.Popen[bytes]]:
     """The real recorder, in a process of its own."""
-    command = [sys.executable, "-m", "qdgrasp_coordinator.cli.recorder_process"]
+    command = [sys.executable, "-m", "qdgrasp_tools.cli.recorder_process"]
     command += ["--connect", endpoint, "--job", JOB, "--out", str(out)]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     try:

@@ -21,8 +21,8 @@ from benchmarks.scale.fleet_simulation import (
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from qdgrasp_coordinator.report.figure_grid import FAINT, INK, RULE
 from qdgrasp_coordinator.scheduler.pipeline import Flight
+from qdgrasp_tools.report.figure_grid import FAINT, INK, RULE
 
 SIZES = (10, 30, 100, 300, 1000, 3000)
 """Workers."""

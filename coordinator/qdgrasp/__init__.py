@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     from qdgrasp.optimisation import Search, optimise
     from qdgrasp.runs import CampaignRuns, Run, open  # noqa: A004  # said as qdgrasp.open
     from qdgrasp_assets.scene import Scene
-    from qdgrasp_coordinator.export.grasp_set import Grasp, Grasps
     from qdgrasp_protocol.errors import InputError, QdgraspError
     from qdgrasp_protocol.rows import Genomes, Layout, Outcome, Rows
     from qdgrasp_protocol.spec import RunSpec
+    from qdgrasp_tools.export.grasp_set import Grasp, Grasps
     from qdgrasp_worker.runtime.evaluator_api import Hands, Verdicts
 
 HOMES = {
     "CampaignRuns": "qdgrasp.runs",
     "Evaluations": "qdgrasp.evaluations",
     "Genomes": "qdgrasp_protocol.rows",
-    "Grasp": "qdgrasp_coordinator.export.grasp_set",
-    "Grasps": "qdgrasp_coordinator.export.grasp_set",
+    "Grasp": "qdgrasp_tools.export.grasp_set",
+    "Grasps": "qdgrasp_tools.export.grasp_set",
     "Hand": "qdgrasp.hand",
     "Hands": "qdgrasp_worker.runtime.evaluator_api",
     "InputError": "qdgrasp_protocol.errors",

@@ -12,10 +12,6 @@ from typing import TypeAlias
 import structlog
 
 from qdgrasp.arguments import check_text, check_whole, path_of
-from qdgrasp_coordinator.local import session
-from qdgrasp_coordinator.local.progress import ProgressDisplay
-from qdgrasp_coordinator.local.session import LocalSession
-from qdgrasp_coordinator.local.supervisor import check_engines
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.keys import Keys
@@ -23,6 +19,10 @@ from qdgrasp_protocol.process import configure_logging
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
 from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.local import session
+from qdgrasp_tools.local.progress import ProgressDisplay
+from qdgrasp_tools.local.session import LocalSession
+from qdgrasp_tools.local.supervisor import check_engines
 
 log = structlog.get_logger()
 ROUTER_SECONDS = 10.0  # seconds to wait for a router, and for workers before a warning

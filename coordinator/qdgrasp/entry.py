@@ -12,27 +12,27 @@ from types import FrameType
 
 def qdgrasp() -> None:
     """Entry point of `qdgrasp`."""
-    _enter("qdgrasp_coordinator.cli.main")
+    _enter("qdgrasp_tools.cli.main")
 
 
 def coordinator() -> None:
     """Entry point of `qdgrasp-coordinator`."""
-    _enter("qdgrasp_coordinator.cli.coordinator_process")
+    _enter("qdgrasp_tools.cli.coordinator_process")
 
 
 def monitor() -> None:
     """Entry point of `qdgrasp-monitor`."""
-    _enter("qdgrasp_coordinator.cli.monitor_process")
+    _enter("qdgrasp_tools.cli.monitor_process")
 
 
 def recorder() -> None:
     """Entry point of `qdgrasp-recorder`."""
-    _enter("qdgrasp_coordinator.cli.recorder_process")
+    _enter("qdgrasp_tools.cli.recorder_process")
 
 
 def router() -> None:
     """Entry point of `qdgrasp-router`."""
-    _enter("qdgrasp_coordinator.cli.router_process")
+    _enter("qdgrasp_tools.cli.router_process")
 
 
 def worker() -> None:

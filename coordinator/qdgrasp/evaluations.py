@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp.arguments import POSE_COLUMNS, SceneArguments, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
-from qdgrasp_coordinator.local.session import LocalSession
 from qdgrasp_coordinator.metrics.scores import nominal_scores
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
@@ -32,6 +31,7 @@ from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Rows
 from qdgrasp_protocol.text import counted
+from qdgrasp_tools.local.session import LocalSession
 
 
 class GenomeRequest:

@@ -88,7 +88,7 @@ class Hand:
         ImpossibleValue
             The joints are not j finite numbers.
         """
-        from qdgrasp_coordinator.export.grasp_pictures import hand_scene  # takes its time to load
+        from qdgrasp_tools.export.grasp_pictures import hand_scene  # takes its time to load
 
         try:
             values = self.opened if joints is None else np.asarray(joints, dtype=np.float64)
@@ -102,7 +102,7 @@ class Hand:
     def _repr_html_(self) -> str:
         from PIL import Image
 
-        from qdgrasp_coordinator.rendering import drawings, html_cards
+        from qdgrasp_tools.rendering import drawings, html_cards
 
         file = io.BytesIO()
         drawings.draw_gripper(self.gripper, file)

@@ -18,7 +18,6 @@ from qdgrasp.arguments import (
 )
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
 from qdgrasp.runs import Run
-from qdgrasp_coordinator.local.progress import ProgressDisplay, progress_display
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue, plan_run, prepare_scene
 from qdgrasp_coordinator.search.registry import CUSTOM
@@ -27,6 +26,7 @@ from qdgrasp_protocol.errors import FolderError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Genomes, Layout, Rows
 from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec, differences
+from qdgrasp_tools.local.progress import ProgressDisplay, progress_display
 
 
 class Search(Protocol):

@@ -13,12 +13,6 @@ from qdgrasp.arguments import path_of
 from qdgrasp.hand import Hand
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.campaign.campaign_folder import open_campaign
-from qdgrasp_coordinator.campaign.summary import RunSummary, run_summary
-from qdgrasp_coordinator.export.frames import frame_of
-from qdgrasp_coordinator.export.grasp_reader import GraspChoice, GraspReader, choose_grasps, read_run
-from qdgrasp_coordinator.export.grasp_set import Grasps, select_grasps
-from qdgrasp_coordinator.export.tabular import grasp_table, load_pandas
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -27,6 +21,12 @@ from qdgrasp_protocol.extras import check_packages
 from qdgrasp_protocol.rows import Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
+from qdgrasp_tools.campaign.campaign_folder import open_campaign
+from qdgrasp_tools.campaign.summary import RunSummary, run_summary
+from qdgrasp_tools.export.frames import frame_of
+from qdgrasp_tools.export.grasp_reader import GraspChoice, GraspReader, choose_grasps, read_run
+from qdgrasp_tools.export.grasp_set import Grasps, select_grasps
+from qdgrasp_tools.export.tabular import grasp_table, load_pandas
 
 
 class Run:
@@ -156,7 +156,7 @@ class Run:
             yield from journal.kept()
 
     def _repr_html_(self) -> str:
-        from qdgrasp_coordinator.rendering import html_cards, views  # what draws takes its time to load
+        from qdgrasp_tools.rendering import html_cards, views  # what draws takes its time to load
 
         if not self._folder.has_bundle():
             return html_cards.card(self.path.name, None, [("state", NO_SCENE)])
@@ -235,7 +235,7 @@ class CampaignRuns:
     def _repr_html_(self) -> str:
         from html import escape
 
-        from qdgrasp_coordinator.rendering import html_cards  # what draws takes its time to load
+        from qdgrasp_tools.rendering import html_cards  # what draws takes its time to load
 
         lines = []
         for name in self.names[:SHOWN_RUNS]:
@@ -263,7 +263,7 @@ def _object_html(run: Run) -> str:
     """Return a small picture of a run's object."""
     from PIL import Image
 
-    from qdgrasp_coordinator.rendering import html_cards, views
+    from qdgrasp_tools.rendering import html_cards, views
 
     drawn = Image.open(io.BytesIO(views.object_picture(run.scene, OBJECT_PIXELS)))
     ground = Image.new("RGBA", drawn.size, "white")

@@ -22,9 +22,9 @@ from qdgrasp_assets.catalog import (
     object_names,
 )
 from qdgrasp_assets.scene import pack_scene, unpack_scene
-from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue
 from qdgrasp_protocol.errors import AssetError, MessageError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue
 
 DIGEST = """
 import sys

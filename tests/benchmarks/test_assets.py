@@ -9,7 +9,7 @@ from benchmarks.hand_guesses import KnownHand, guessed
 from benchmarks.object_library.generator import KINDS, make_library
 from tests.assets import synthetic_hands
 
-from qdgrasp_coordinator.campaign.object_library import LibraryRules, read_library
+from qdgrasp_tools.campaign.object_library import LibraryRules, read_library
 
 CLAW = KnownHand("claw.urdf", "boxes", "palm", (0, 0, 1), 2)
 

@@ -34,7 +34,6 @@ from tests.coordinator.recorded_runs import random_rows
 from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_assets.catalog import gripper_names, object_names
-from qdgrasp_coordinator.local.node_benchmark import PlatformSink
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask, successes
@@ -44,6 +43,7 @@ from qdgrasp_coordinator.search.registry import method
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.messages import Result
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_tools.local.node_benchmark import PlatformSink
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.platform import probe_scene, probes
 

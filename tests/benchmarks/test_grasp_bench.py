@@ -16,9 +16,9 @@ from qdgrasp_assets.geometry.mesh_io import read_mesh
 from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_assets.mesh_check import check_mesh
 from qdgrasp_assets.stand_ins import STAND_INS
-from qdgrasp_coordinator.campaign.campaign_file import make_campaign
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.campaign.campaign_file import make_campaign
 
 LARGEST = 0.3
 """Side of the largest object [m]."""

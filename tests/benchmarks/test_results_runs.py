@@ -21,9 +21,6 @@ from tests.coordinator.recorded_runs import SHAPE, random_rows
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import pack_scene
-from qdgrasp_coordinator.campaign.campaign_file import make_campaign
-from qdgrasp_coordinator.campaign.campaign_folder import begin_campaign
-from qdgrasp_coordinator.local.supervisor import LocalJobConfig
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, row_shape
@@ -36,6 +33,9 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_tools.campaign.campaign_file import make_campaign
+from qdgrasp_tools.campaign.campaign_folder import begin_campaign
+from qdgrasp_tools.local.supervisor import LocalJobConfig
 
 BUNDLE = pack_scene(build_scene(RunSpec(gripper="panda", object="tennis_ball")))
 ROWS = random_rows(300)

@@ -21,10 +21,10 @@ from tests.benchmarks.test_results_table import TODAY, row
 from tests.coordinator.recorded_runs import random_rows
 
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.report.claims import ClaimAgreement
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_tools.report.claims import ClaimAgreement
 
 
 def arm(method: str, *ends: float, **values: Any) -> Arm:

@@ -11,12 +11,12 @@ from tests.coordinator.recorded_runs import SHAPE, write_journal
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.scene import Bundle, pack_scene
-from qdgrasp_coordinator.campaign.campaign_file import make_campaign
-from qdgrasp_coordinator.campaign.campaign_folder import begin_campaign
-from qdgrasp_coordinator.campaign.object_library import SkippedObject
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_tools.campaign.campaign_file import make_campaign
+from qdgrasp_tools.campaign.campaign_folder import begin_campaign
+from qdgrasp_tools.campaign.object_library import SkippedObject
 
 KINDS: dict[str, dict[Outcome, float]] = {
     "good": {Outcome.HELD: 0.4, Outcome.DROPPED: 0.2, Outcome.MISSED: 0.2, Outcome.OVERLAP: 0.2},

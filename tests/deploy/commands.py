@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from qdgrasp_coordinator.cli import (
+from qdgrasp_tools.cli import (
     coordinator_process,
     main,
     monitor_process,

@@ -14,12 +14,12 @@ import yaml
 from msgspec import structs
 from packaging.requirements import Requirement
 from packaging.version import Version
-from tests.coordinator.monitor.sample_jobs import values, views
 from tests.deploy.commands import COMMANDS, DEPLOY, understood
+from tests.tools.monitor.sample_jobs import values, views
 
-from qdgrasp_coordinator.monitor.prometheus import exposition
 from qdgrasp_protocol.extras import EXTRAS
 from qdgrasp_protocol.session import parse_endpoints
+from qdgrasp_tools.monitor.prometheus import exposition
 from qdgrasp_worker.device import DEVICE_MODULE
 
 ROOT = DEPLOY.parent

@@ -13,12 +13,12 @@ import pytest
 import yaml
 from msgspec import structs
 from prometheus_client.parser import text_string_to_metric_families
-from tests.coordinator.monitor.sample_jobs import run, values, views
 from tests.deploy.commands import DEPLOY
 from tests.deploy.promql import TEMPLATE, Alert, data, firing, read, seconds
+from tests.tools.monitor.sample_jobs import run, values, views
 
-from qdgrasp_coordinator.monitor.prometheus import STATES, exposition
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_tools.monitor.prometheus import STATES, exposition
 
 PROMETHEUS = DEPLOY / "prometheus"
 BOARD = json.loads((DEPLOY / "grafana" / "qdgrasp.json").read_text())

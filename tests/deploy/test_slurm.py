@@ -10,10 +10,10 @@ import pytest
 from tests.common import PATIENCE, free_port
 from tests.deploy.commands import DEPLOY, filled, understood
 
-from qdgrasp_coordinator.campaign.campaign_file import read_campaign
-from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.process import GRACE
+from qdgrasp_tools.campaign.campaign_file import read_campaign
+from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue
 
 SLURM = DEPLOY / "slurm"
 SCRIPTS = sorted(SLURM.glob("*.sbatch"))

@@ -13,10 +13,10 @@ import trimesh
 from docs.demo import MARKER, clear
 from tests.assets import example_hands, synthetic_hands
 from tests.common import PATIENCE, own_endpoint, wait_for
-from tests.coordinator.export.conftest import random_rows
 from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import made_scene
 from tests.system.commands import ROUTER, WORKER, Commands, end_of, says
+from tests.tools.export.conftest import random_rows
 
 import qdgrasp
 from qdgrasp_protocol.errors import FolderError

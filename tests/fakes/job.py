@@ -16,8 +16,6 @@ from tests.fakes.worker import FakeWorker
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
-from qdgrasp_coordinator.monitor.feed import reachable_jobs
-from qdgrasp_coordinator.monitor.job_view import JobView
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
@@ -33,6 +31,8 @@ from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Opened, OpenRun, Order, OrderReply
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.monitor.feed import reachable_jobs
+from qdgrasp_tools.monitor.job_view import JobView
 
 SPEC = RunSpec(gripper="hand", object="thing")
 PLANS = {f"run-{seed}": Plan(seed=seed, population=5 + seed, evaluations=40) for seed in range(6)}

@@ -26,6 +26,7 @@ from qdgrasp_protocol.messages import Log, Message, Open, Opened, OpenRun, Recor
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_tools.monitor.queries import QueryServer
 
 SHAPE = RowShape(genes=7, joints=2)
 SPEC = RunSpec(gripper="panda", object="mug", evaluations=1000)
@@ -126,7 +127,7 @@ class FakeCoordinator:
 @contextmanager
 def recording(network: MemoryNetwork, path: Path, disk_wait: float = 60.0) -> Iterator[ServiceThread]:
     """A recorder until the context ends, by SIGTERM."""
-    with network.session() as bus:
+    with network.session() as bus, QueryServer(bus, JOB, path):
         stop = Stop()
         service = RecorderService(bus, stop, job=JOB, path=path, disk_wait=disk_wait)
         running = ServiceThread(service.run, stop)

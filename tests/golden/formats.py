@@ -5,15 +5,15 @@ from contextlib import closing
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.coordinator.monitor.sample_jobs import event, run, values, views
+from tests.tools.monitor.sample_jobs import event, run, values, views
 
 from qdgrasp_assets.scene import FORMAT as SCENE
-from qdgrasp_coordinator.export.isaac_moveit import VERSION as ISAAC
-from qdgrasp_coordinator.monitor.prometheus import exposition
 from qdgrasp_coordinator.storage.journal_schema import APPLICATION, FORMAT, REDUCED, JournalIdentity
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol.messages import VERSION as PROTOCOL
 from qdgrasp_protocol.rows import COLUMNS, Outcome, RowShape
+from qdgrasp_tools.export.isaac_moveit import VERSION as ISAAC
+from qdgrasp_tools.monitor.prometheus import exposition
 
 
 def version_text() -> str:

@@ -14,10 +14,10 @@ import typer
 from tests.common import PATIENCE
 from typer.exceptions import TyperException
 
-from qdgrasp_coordinator.local.progress import LineProgress
 from qdgrasp_protocol.cli_support import echo, usage_error
 from qdgrasp_protocol.process import SUPERVISED, configure_logging
 from qdgrasp_protocol.text import counted, first_few, join_numbers, parse_numbers, quoted
+from qdgrasp_tools.local.progress import LineProgress
 
 
 class Part(StrEnum):

@@ -9,11 +9,11 @@ import pytest
 from tests.common import HOST, PATIENCE, free_port, own_endpoint
 from tests.fakes.slow_link import slow_link
 
-from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.errors import EndpointError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.session import Credentials, Endpoint, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.security.folder import SecurityFolder
 
 ROUND_TRIPS = pytest.mark.parametrize(("round_trip", "loss"), [(0.3, 0.0), (0.6, 0.05)])
 

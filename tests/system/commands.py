@@ -21,15 +21,15 @@ import msgspec
 from tests.common import PATIENCE, own_endpoint, wait_for
 
 from qdgrasp import entry
-from qdgrasp_coordinator.campaign.summary import run_summary
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_tools.campaign.summary import run_summary
 
 COORDINATOR, MONITOR, RECORDER, ROUTER = (
-    f"qdgrasp_coordinator.cli.{name}_process" for name in ("coordinator", "monitor", "recorder", "router")
+    f"qdgrasp_tools.cli.{name}_process" for name in ("coordinator", "monitor", "recorder", "router")
 )
 WORKER = "qdgrasp_worker.cli"
-LOADED = ["qdgrasp_coordinator.cli.main", MONITOR, "qdgrasp_coordinator.scheduler.run_plan", "trimesh"]
+LOADED = ["qdgrasp_tools.cli.main", MONITOR, "qdgrasp_coordinator.scheduler.run_plan", "trimesh"]
 _FORKS = multiprocessing.get_context("forkserver")
 _FORKS.set_forkserver_preload(LOADED)
 

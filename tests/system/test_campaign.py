@@ -24,9 +24,9 @@ from tests.system.commands import (
 )
 from tests.system.test_bad_input import sentence
 
-from qdgrasp_coordinator.campaign.campaign_file import read_campaign
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_tools.campaign.campaign_file import read_campaign
 
 EVERY = Path(__file__).parents[2] / "deploy" / "campaigns" / "every.toml"
 SMALL = """

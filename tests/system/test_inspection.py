@@ -11,10 +11,10 @@ from tests.common import wait_for
 from tests.coordinator.recorded_runs import record
 from tests.system.commands import Commands, processes_of, stop
 
-from qdgrasp_coordinator.export.grasp_reader import read_run
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import to_values
+from qdgrasp_tools.export.grasp_reader import read_run
 
 Reference = tuple[Path, str, dict]
 

@@ -42,10 +42,6 @@ from tests.system.commands import (
 )
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus, RunStatus, WorkersPage, from_json
-from qdgrasp_coordinator.monitor.feed import Feed
-from qdgrasp_coordinator.monitor.job_view import JobView
-from qdgrasp_coordinator.monitor.terminal.screen import ScreenState, report_lines
-from qdgrasp_coordinator.monitor.terminal.text_tables import ASCII
 from qdgrasp_coordinator.scheduler.status_publisher import STATUS_INTERVAL
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import JOURNAL
@@ -54,6 +50,10 @@ from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.monitor.feed import Feed
+from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.terminal.screen import ScreenState, report_lines
+from qdgrasp_tools.monitor.terminal.text_tables import ASCII
 
 ENDLESS = 98_765
 """Evaluations of a run that goes on until it is ended."""

@@ -12,9 +12,9 @@ from tests.system.commands import ROUTER, Commands, digest_of, says
 
 import qdgrasp
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError
 from qdgrasp_protocol.session import Role
+from qdgrasp_tools.security.folder import SecurityFolder
 from qdgrasp_worker.evaluator import Evaluator
 
 SCENE = {"gripper": "panda", "object": "tennis_ball"}

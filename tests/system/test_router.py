@@ -12,10 +12,10 @@ import pytest
 from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.system.commands import COORDINATOR, RECORDER, ROUTER, SMALL, WORKER, Commands, end_of, stop
 
-from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.security.folder import SecurityFolder
 
 KEYS = Keys("mugs")
 

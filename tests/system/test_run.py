@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from tests.common import wait_for
 from tests.system.commands import BUDGET, SMALL, Commands, rows_recorded
 
-from qdgrasp_coordinator.campaign.ranking import best_of_kinds, read_run_grasps
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_protocol.spec import read_run_spec
+from qdgrasp_tools.campaign.ranking import best_of_kinds, read_run_grasps
 from qdgrasp_worker.evaluator import Evaluator
 
 

@@ -31,9 +31,9 @@ from tests.system.commands import (
     stop,
 )
 
-from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.bus import Query
 from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.security.folder import SecurityFolder
 
 PROMISED = 2.0
 """Seconds that a command may take to stop, on a machine that is not busy with something else."""

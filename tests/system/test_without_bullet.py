@@ -11,9 +11,9 @@ from tests.system.commands import Commands, end_of
 from typer.testing import CliRunner
 
 import qdgrasp as api
-from qdgrasp_coordinator.cli.main import app
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.engines import MissingEngine, check_engine
+from qdgrasp_tools.cli.main import app
 
 RECORDED = Path(__file__).parents[1] / "golden" / "recorded_0_1_0"
 SCENE = ("--gripper", "panda", "--object", "tennis_ball")

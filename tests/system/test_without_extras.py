@@ -14,10 +14,10 @@ from tests.system.commands import Commands, end_of
 from typer.testing import CliRunner
 
 import qdgrasp as api
-from qdgrasp_coordinator.cli.main import app
-from qdgrasp_coordinator.cli.monitor_process import app as monitor_app
-from qdgrasp_coordinator.export.text_format import shortest_decimals
 from qdgrasp_protocol.extras import EXTRAS, MissingPackage
+from qdgrasp_tools.cli.main import app
+from qdgrasp_tools.cli.monitor_process import app as monitor_app
+from qdgrasp_tools.export.text_format import shortest_decimals
 
 ROOT = Path(__file__).parents[2]
 IMPORTED = {
@@ -95,7 +95,7 @@ def test_the_page_of_the_monitor_and_tables_in_programs_name_their_extras_too() 
 
 
 def test_a_data_set_names_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from qdgrasp_coordinator.campaign.campaign_export import export_campaign
+    from qdgrasp_tools.campaign.campaign_export import export_campaign
 
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(MissingPackage) as refused:

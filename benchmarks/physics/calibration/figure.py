@@ -21,7 +21,7 @@ from benchmarks.physics.calibration.survival import (
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from qdgrasp_coordinator.report.figure_grid import CONTEXT, FAINT, INK, FigureGrid, panel_heading, plain_axes
+from qdgrasp_tools.report.figure_grid import CONTEXT, FAINT, INK, FigureGrid, panel_heading, plain_axes
 
 HUES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 """Colours of hands, in their order; of Okabe and Ito."""

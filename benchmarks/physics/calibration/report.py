@@ -35,11 +35,11 @@ from benchmarks.physics.calibration.survival import (
 )
 from benchmarks.physics.calibration.table import GraspRow, Group
 
-from qdgrasp_coordinator.report.bootstrap import RESAMPLES
-from qdgrasp_coordinator.report.figure_grid import FIGURE_DPI
-from qdgrasp_coordinator.report.tables import markdown_table
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_protocol.text import counted
+from qdgrasp_tools.report.bootstrap import RESAMPLES
+from qdgrasp_tools.report.figure_grid import FIGURE_DPI
+from qdgrasp_tools.report.tables import markdown_table
 
 ROBOT = {"panda": 0.95, "allegro": 0.72}
 """Share of grasps that transferred, Huber et al. 2024, Table I, 6DoF; a figure for all objects of a hand."""

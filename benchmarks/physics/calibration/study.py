@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.geometry.rotation import from_euler, multiply
 from qdgrasp_assets.scene import Scene, pack_scene
-from qdgrasp_coordinator.campaign.ranking import best_of_kinds
-from qdgrasp_coordinator.cli.run_commands import CANDIDATES
 from qdgrasp_coordinator.metrics.grasp_quality import MM, object_motion, recorded_margins
 from qdgrasp_coordinator.metrics.scores import genome_numbers, nominal_scores
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
@@ -35,6 +33,8 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import GIVEN, Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import ProtocolName, RunSpec
 from qdgrasp_protocol.text import counted
+from qdgrasp_tools.campaign.ranking import best_of_kinds
+from qdgrasp_tools.cli.run_commands import CANDIDATES
 from qdgrasp_worker.decoder import Decoder, HandPose
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.engines.mujoco_simulation import SimulationDiverged

@@ -15,7 +15,7 @@ from benchmarks.physics.calibration.study import SCENES, SEEN, UNSEEN, Disturban
 from benchmarks.physics.calibration.table import GraspRow, Group
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.report.bootstrap import CONFIDENCE_LEVEL, RESAMPLES, RESAMPLING_SEED
+from qdgrasp_tools.report.bootstrap import CONFIDENCE_LEVEL, RESAMPLES, RESAMPLING_SEED
 
 Floats = NDArray[np.float64]
 Rows = Sequence[GraspRow]

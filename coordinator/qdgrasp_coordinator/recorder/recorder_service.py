@@ -16,7 +16,6 @@ from queue import Empty, SimpleQueue
 
 import structlog
 
-from qdgrasp_coordinator.recorder.queries import QueryServer
 from qdgrasp_coordinator.recorder.recorder import Recorder, open_recorder
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
@@ -83,7 +82,6 @@ class RecorderService:
             enter(self._bus.subscribe(self._keys.outcome(), self._inbox.put))
             enter(self._bus.answer(self._keys.open, self._ask))
             enter(self._bus.answer(self._keys.log, self._ask))
-            enter(QueryServer(self._bus, self._job, self._path))
             enter(self._bus.token(self._keys.recorder_token(secrets.token_hex(8))))
             log.info("recording", job=self._job, folder=str(self._path))
             while not self._stop.is_set:

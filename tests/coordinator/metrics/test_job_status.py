@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from msgspec import Struct, json, to_builtins
 from msgspec.structs import replace
-from tests.coordinator.monitor.sample_jobs import event, figures, run, team, worker
+from tests.tools.monitor.sample_jobs import event, figures, run, team, worker
 
 from qdgrasp_coordinator.metrics import job_status
 from qdgrasp_coordinator.storage.success_pages import SUCCESS_COLUMNS

@@ -21,8 +21,8 @@ from qdgrasp_coordinator.metrics.reference_coverage import (
     read_reference,
     released_archive,
 )
-from qdgrasp_coordinator.report.reference_builder import build_reference_sets
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
+from qdgrasp_tools.report.reference_builder import build_reference_sets
 
 
 def written(path: Path, **arrays: object) -> Path:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import pytest
-from tests.coordinator.monitor.sample_jobs import figures
+from tests.tools.monitor.sample_jobs import figures
 
 from qdgrasp_coordinator.metrics.time_left import (
     QUIET_SECONDS,

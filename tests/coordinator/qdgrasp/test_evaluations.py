@@ -6,18 +6,18 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.monitor.sample_jobs import figures
 from tests.coordinator.scenes import jaw, made_scene
+from tests.tools.monitor.sample_jobs import figures
 
 import qdgrasp
 from qdgrasp.arguments import POSE_COLUMNS, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import ROUTER_SECONDS, SilentProgress
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_coordinator.search.fixed_poses import check_given
-from qdgrasp_coordinator.security.folder import SecurityFolder
 from qdgrasp_protocol.errors import EndpointError, ImpossibleValue, InputError, SecurityError, UnknownName
 from qdgrasp_protocol.rows import Gene, Layout
 from qdgrasp_protocol.session import Role
+from qdgrasp_tools.security.folder import SecurityFolder
 
 TWO = Layout("contact", (Gene("nu", 0.0, 1.0), Gene("d", 0.0, 0.1)))
 POSE = Layout("given", (Gene("x", -1.0, 1.0), Gene("y", -1.0, 1.0)))

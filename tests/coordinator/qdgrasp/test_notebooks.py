@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from PIL import Image
-from tests.coordinator.export.conftest import random_rows
 from tests.coordinator.qdgrasp.test_api import loaded_by
 from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.recorded_runs import record, record_spec
 from tests.coordinator.scenes import made_scene
+from tests.tools.export.conftest import random_rows
 
 import qdgrasp
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.rendering.hand_geometry import hand_geometry
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import Outcome, RowShape
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.rendering.hand_geometry import hand_geometry
 
 COM = (0.01, -0.02, 0.03)
 OUTCOMES = [Outcome.MISSED, Outcome.DROPPED, *[Outcome.HELD] * 8]

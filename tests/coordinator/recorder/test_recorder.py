@@ -9,7 +9,6 @@ import pytest
 from tests.fakes.messages import open_run
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, make_rows
 
-from qdgrasp_coordinator.campaign.campaign_folder import CampaignRunQueue
 from qdgrasp_coordinator.recorder import recorder as recorder_module
 from qdgrasp_coordinator.recorder.recorder import (
     COMMITS_AT_ONCE,
@@ -33,6 +32,7 @@ from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, MessageE
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable
 from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue
 
 ROWS = make_rows(100)
 HERE, ELSEWHERE = {"pybullet": "3.2.7"}, {"pybullet": "3.2.6"}

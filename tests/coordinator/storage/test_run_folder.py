@@ -12,7 +12,6 @@ from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_assets.scene import Bundle, pack_scene
-from qdgrasp_coordinator.campaign.merge_prune import merge_runs
 from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.storage import job_folder
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -22,6 +21,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance, proven
 from qdgrasp_protocol.errors import FolderError, OtherRun
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_tools.campaign.merge_prune import merge_runs
 
 SPEC = RunSpec(gripper="panda", object="mug")
 BUNDLE = Bundle(b"scene", "7ac9b4c4f4f4ab3e9b0c0cd1b4a3a7ef5a3dc1e4e2b2f7a6d0c5b8d2a1e0f9c8")

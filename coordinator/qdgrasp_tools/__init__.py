@@ -1,0 +1,1 @@
+"""The commands, and campaigns, exports, reports, pictures, monitors and verification."""

@@ -1,0 +1,160 @@
+"""Summary of a run: the figures that `info` prints, counted from its journal."""
+
+import msgspec
+from msgspec import field, structs
+
+from qdgrasp_coordinator.metrics.job_status import RunListing
+from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows
+from qdgrasp_coordinator.metrics.success_metrics import (
+    Diversity,
+    EtaSummary,
+    NuSummary,
+    SuccessMetrics,
+    diversity,
+)
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
+from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.engines import DEFAULT_ENGINE
+from qdgrasp_protocol.text import counted
+from qdgrasp_tools.report.row_report import empty_niche_archive
+
+FIRST_FIELDS = (
+    *("gripper", "object", "scale", "method", "aim_for"),
+    *("told_apart_by", "grasps_per_cell", "protocol", "engine", "seed", "overlaps_mode"),
+    *("evaluations", "budget", "rows", "trials"),
+)
+"""Figures that a table begins with."""
+
+
+class RunSummary(RunTotals, frozen=True, kw_only=True):
+    """The figures of a run."""
+
+    gripper: str
+    object: str
+    scale: float = 1.0
+    """Metres to a unit of the object's mesh file."""
+    method: str
+    aim_for: str = ""
+    """Objective of a method that has one; empty: none, or `touch` in runs recorded without it."""
+    told_apart_by: str = ""
+    """Diversity that the search looked for, `position`, `orientation` or `posture`; empty: no objective."""
+    grasps_per_cell: int | None = None
+    """Grasps of different kinds that fill a cell, as the spec has it."""
+    engine: str = DEFAULT_ENGINE
+    """The physics engine."""
+    protocol: str
+    seed: int
+    overlaps_mode: str
+    """Mode of counting overlaps, `count` or `redraw`."""
+    budget: int
+    rows: int
+    """Rows in the journal, overlaps and trials included."""
+    diversity: Diversity
+    """Niches of position, orientation and synergy with a success."""
+    qd_score: float
+    """Best fitness in each of these cells, summed; fitness as the search gets it."""
+    success_share: float | None
+    """`successes` over `evaluations`, 0 to 1; None before the first evaluation."""
+    mean_fitness: float | None
+    """Mean fitness of all successes; None without one."""
+    nu: NuSummary
+    """Lean of successes from the surface normal."""
+    eta: EtaSummary | None
+    """Estimated probability that successes transfer; None where the protocol has no trials."""
+    checked: int = 0
+    """Rows that a second worker has evaluated."""
+    differing: int = 0
+    """Of these, rows answered by workers that were excluded."""
+    cpu_seconds: float
+    wall_seconds: float
+    complete: bool
+    ended: str
+    """Reason why the run ended, in words; empty while it has not."""
+    collision_source: str
+    """Source of the object's convex parts."""
+    scene: str
+    """sha256 of the scene bundle."""
+    platform: dict[str, str]
+    in_both: dict[str, HeldShare] = field(default_factory=dict)
+    """Of grasps that hold, how many do so in another engine too, by its name, where the run has a table."""
+    reduced: str = ""
+    """Rows left out of the journal, in words; empty where every row is there."""
+    sources: list[str] = field(default_factory=list)
+    """The runs that were merged into the journal, a line each."""
+
+    @property
+    def words(self) -> str:
+        """One sentence for a person."""
+        evaluations = counted(self.evaluations, "evaluation")
+        return (
+            f"{evaluations} of {self.method} with {self.gripper} on {self.object}: "
+            f"{self.found}, {counted(self.grasps, 'grasp')}, {self.robust} robust; {self.screened}."
+        )
+
+    @property
+    def table(self) -> str:
+        """All figures, one to a line."""
+        values = dict.fromkeys(FIRST_FIELDS, "") | structs.asdict(self)
+        platform, sources = values.pop("platform"), values.pop("sources")
+        values["diversity"], values["nu"] = self.diversity.words, self.nu.words
+        values["eta"] = None if self.eta is None else self.eta.words
+        shares = values.pop("in_both")
+        lines = [f"{name.replace('_', ' '):<16} {_text(value)}" for name, value in values.items()]
+        lines += [f"{f'in {name} too':<16} {share.words}" for name, share in shares.items()]
+        lines += [f"{'source':<16} {source}" for source in sources]
+        lines += [f"{'platform':<16} {name} {value[:24]}" for name, value in sorted(platform.items())]
+        return "\n".join(lines)
+
+
+def run_summary(folder: RunFolder) -> RunSummary:
+    """Count what is in a run's folder, also while the run goes on."""
+    spec = folder.spec
+    with folder.journal() as journal:
+        if journal.sources:
+            return journal.summary(RunSummary)
+        metrics, archive = SuccessMetrics(TrialPlan.of(spec)), empty_niche_archive(folder)
+        found = count_rows(spec, metrics.counting(archive.inserting(journal.blocks())))
+        return RunSummary(
+            **structs.asdict(found.totals),
+            **{name: getattr(spec, name) for name in ("gripper", "object", "method", "protocol", "seed")},
+            scale=spec.scale or 1.0,
+            aim_for=spec.aim_for or "",
+            told_apart_by=spec.diversity or ("position" if spec.aim_for else ""),
+            grasps_per_cell=spec.grasps_per_cell,
+            engine=spec.engine or DEFAULT_ENGINE,
+            overlaps_mode=spec.overlaps,
+            budget=spec.evaluations,
+            rows=found.rows,
+            diversity=diversity(archive),
+            qd_score=metrics.qd_score,
+            success_share=found.successes / found.evaluations if found.evaluations else None,
+            mean_fitness=metrics.mean_fitness,
+            nu=metrics.nu,
+            eta=metrics.eta,
+            checked=journal.checked,
+            differing=journal.differing,
+            cpu_seconds=journal.cpu_seconds,
+            wall_seconds=journal.wall_seconds,
+            complete=found.finished is not None,
+            ended=found.finished or "",
+            collision_source=folder.scene().object.collision_source,
+            scene=journal.scene,
+            platform=journal.platform,
+            in_both=held_shares(folder),
+        )
+
+
+def summary_listing(journal: Journal) -> RunListing:
+    """Return a pruned or merged run's listing, from its summary; outcomes are not known."""
+    summary = structs.asdict(journal.summary(RunSummary))
+    known = {name: summary[name] for name in RunListing.__struct_fields__ if name in summary}
+    known |= {"run": journal.run, "outcomes": {}, "finished": summary["ended"]}
+    return msgspec.convert(known, RunListing)
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.1f}" if value >= 10 else f"{value:.3g}"
+    return "none" if value is None else str(value)

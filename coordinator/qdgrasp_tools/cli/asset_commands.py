@@ -1,0 +1,225 @@
+"""`qdgrasp asset`: what grippers and objects there are, fetching scans, and checking assets.
+
+Also how `qdgrasp asset`, `gripper` and `object` print what a check found, and where they draw pictures.
+"""
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+
+from qdgrasp_assets import catalog, ycb
+from qdgrasp_assets.asset_check import AssetSummary, is_gripper
+from qdgrasp_assets.asset_check import check as check_asset
+from qdgrasp_assets.asset_report import AssetReport
+from qdgrasp_assets.geometry.mesh_io import scale_of
+from qdgrasp_assets.grippers.gripper import Gripper
+from qdgrasp_assets.object_model import ObjectModel
+from qdgrasp_assets.object_shape import is_in_catalog
+from qdgrasp_assets.scan_download import YCB_HOME, YCB_TERMS, fetch_scan
+from qdgrasp_coordinator.storage.outputs import OutFile, SharedFolder, is_drawn_here
+from qdgrasp_protocol.cli_support import echo
+from qdgrasp_protocol.errors import AssetError, InputError, WrongScan
+from qdgrasp_protocol.spec import RunSpec, run_spec
+from qdgrasp_tools.cli import options
+
+
+def print_findings(found: AssetReport, *, as_json: bool = False) -> None:
+    """Print a report as a table or as JSON."""
+    echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+
+
+def refuse_faulty(kind: str, found: AssetReport, why: str = "cannot be used as it is") -> None:
+    """Raise AssetError for an asset with faults; they are printed already."""
+    if found.faults:
+        count = len(found.faults)
+        listed = "the fault that is listed" if count == 1 else f"the {count} faults that are listed"
+        raise AssetError(f"The {kind} '{found.name}' {why}: correct {listed}.")
+
+
+def picture_folder(path: Path | None, flag: str, names: Iterable[str]) -> SharedFolder | None:
+    """Return the folder that a flag names for pictures; None: no pictures are asked for.
+
+    Raises `OutputError` where they cannot be written there, `InputError` where two would be one file.
+    """
+    if path is None:
+        return None
+    folder = SharedFolder(path, f"name another path with {flag}")
+    folder.check()
+    drawn: dict[Path, str] = {}
+    for name in dict.fromkeys(names):
+        file = picture_file(folder, name)
+        file.check()
+        if (other := drawn.setdefault(file.path, name)) != name:
+            raise InputError(
+                f"'{other}' and '{name}' would both be drawn to '{file.path}'; name them in two commands, "
+                f"with another {flag} for each."
+            )
+    return folder
+
+
+def picture_file(folder: SharedFolder, name: str) -> OutFile:
+    """Return the picture's file; an earlier picture drawn by this program is replaced."""
+    return folder.file(f"{Path(name).stem}.png", is_kind=is_drawn_here)
+
+
+def draw_asset(asset: Gripper | ObjectModel, name: str, folder: SharedFolder) -> Path:
+    """Draw a hand or an object into the picture's file; returns its path."""
+    # matplotlib takes half a second to import, and most commands draw nothing
+    from qdgrasp_tools.rendering.drawings import draw_gripper, draw_object
+
+    drawn = picture_file(folder, name)
+    with drawn.writing() as made:
+        if isinstance(asset, Gripper):
+            draw_gripper(asset.on_carrier("paper"), made)
+        else:
+            draw_object(asset, made)
+    return drawn.path
+
+
+asset_app = typer.Typer(
+    name="asset", no_args_is_help=True, help="Grippers and objects: list, fetch and check them."
+)
+
+
+@asset_app.command("list")
+def list_assets(as_json: options.Json = False) -> None:
+    """Name every gripper and object, where it is and under which licence; needs no network.
+
+    Example: qdgrasp asset list --json
+    """
+    tables = {"grippers": catalog.every_gripper(), "objects": catalog.every_object()}
+    if as_json:
+        echo(json.dumps({kind: [asdict(entry) for entry in table] for kind, table in tables.items()}))
+        return
+    for kind, table in tables.items():
+        echo(kind)
+        for entry in table:
+            echo(f"  {entry.name:<20} {entry.source:<11} {entry.licence}")
+
+
+@asset_app.command()
+def fetch(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAMES]...", help="Scans, ycb_<name>; default: all absent.")
+    ] = None,
+    home: Annotated[
+        str, typer.Option("--from", envvar="QDGRASP_YCB_URL", help="Address of the YCB set or of a mirror.")
+    ] = YCB_HOME,
+) -> None:
+    """Fetch scans of the YCB Object and Model Set (CC BY 4.0) and check them;
+    repeat it to go on.
+
+    Example: qdgrasp asset fetch ycb_mug ycb_bowl
+    """  # noqa: D205  # typer joins the lines
+    wanted = names or [name for name in ycb.SCAN_NAMES if ycb.scan_source(name) == catalog.ABSENT]
+    echo(YCB_TERMS, err=True)
+    refused = []
+    for name in wanted:
+        try:
+            with _progress() as bars:
+                fetched = fetch_scan(name, home, _bar(bars, name))
+            echo(fetched.sentence)
+        except WrongScan as error:
+            refused.append(str(error))
+    if refused:
+        raise AssetError(" ".join(refused))
+    if not wanted:
+        echo("Every scan is there already; name one to fetch it again.")
+
+
+@asset_app.command()
+def check(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME|FILE]...", help="Of the catalog, a mesh or a gripper's TOML; default: all here."
+        ),
+    ] = None,
+    pictures: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Draw each that can be used: a hand open and closed, an object's parts."
+        ),
+    ] = None,
+) -> None:
+    """Say what assets are and what is wrong with them, and draw them.
+
+    Example: qdgrasp asset check ycb_mug part.stl my_hand.toml --pictures pictures
+    """
+    named = names or [*catalog.gripper_names(), *catalog.object_names()]
+    drawing = picture_folder(pictures, "--pictures", named)
+    reports = [check_asset(name) for name in named]
+    for report in reports:
+        for line in _lines(report):
+            echo(line)
+        if drawing is not None and not report.faults:
+            echo(f"      drawn: {draw_asset(_asset(report.name), report.name, drawing)}")
+    wrong = [report.name for report in reports if report.faults]
+    if wrong:
+        raise AssetError(
+            f"{len(wrong)} of {len(reports)} assets cannot be used as they are: {', '.join(wrong)}."
+        )
+
+
+@asset_app.command("resting-poses")
+def resting_poses_of(
+    name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="An object of the catalog, or a mesh.")],
+    scale: options.Scale = None,
+    units: options.Units = None,
+    as_json: options.Json = False,
+) -> None:
+    """List how an object comes to rest on a table, the likeliest way first.
+
+    Of each: its number, which --resting-pose takes; its probability, where the object is dropped in any way;
+    which direction of the object's frame is up then; and how far above the table the centre of mass is.
+
+    Example: qdgrasp asset resting-poses mug
+    """
+    from qdgrasp_assets.geometry.resting_poses import resting_poses  # scipy takes its time
+
+    values = {"gripper": "", "object": name, "scale": scale_of(units, scale)}
+    mass = {} if is_in_catalog(name) else {"mass": 1.0}
+    poses = resting_poses(catalog.object_shape(run_spec(values | mass, "asset resting-poses")).collision)
+    if as_json:
+        echo(json.dumps(msgspec.to_builtins(poses)))
+        return
+    echo(f"{'pose':>4} {'probability':>11}  {'up':<22} {'height [m]':>10}")
+    for number, pose in enumerate(poses):
+        up = " ".join(f"{value:6.3f}" for value in pose.up)
+        echo(f"{number:>4} {pose.probability:>11.3f}  {up:<22} {-pose.height:>10.4f}")
+
+
+def _asset(name: str) -> Gripper | ObjectModel:
+    is_hand, any_mass = is_gripper(name), RunSpec(gripper="", object=name, mass=1.0)
+    return catalog.find_gripper(name) if is_hand else catalog.find_object(any_mass)
+
+
+def _lines(report: AssetSummary) -> Iterable[str]:
+    if report.facts or not report.faults:
+        yield f"{'WRONG' if report.faults else 'ok':<5} {report.name}: {', '.join(report.facts)}"
+    for fault in report.faults:
+        yield f"WRONG {report.name}: {fault}"
+
+
+def _bar(bars: Progress, name: str) -> Callable[[int, int | None], None]:
+    """Add a bar; returns a function that sets it, given the bytes so far and in all."""
+    bar = bars.add_task(name, total=None)
+    return lambda here, total: bars.update(bar, completed=here, total=total)
+
+
+def _progress() -> Progress:
+    """Bars on standard error."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        DownloadColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )

@@ -1,0 +1,374 @@
+"""`qdgrasp campaign`, `analyse`, `merge` and `prune`: many runs, and their results."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from qdgrasp_assets.geometry.mesh_io import scale_of
+from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.cli_support import echo
+from qdgrasp_protocol.errors import EndedEarly, ImpossibleValue, InputError
+from qdgrasp_protocol.process import lifetime
+from qdgrasp_protocol.text import counted
+from qdgrasp_tools.campaign.campaign_file import (
+    Campaign,
+    campaign_of_meshes,
+    check_meshes,
+    read_campaign,
+)
+from qdgrasp_tools.campaign.campaign_folder import (
+    CampaignRunQueue,
+    begin_campaign,
+    defaults_left_out,
+    open_campaign,
+)
+from qdgrasp_tools.campaign.object_library import LibraryRules, is_manifest
+from qdgrasp_tools.cli import options
+from qdgrasp_tools.cli.run_commands import check_not_stopped, echo_errors, resume_hint, run_job
+from qdgrasp_tools.local.progress import progress_display, progress_messages
+from qdgrasp_tools.local.supervisor import ListenConfig, LocalJobConfig
+
+
+def campaign(
+    what: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[FILE|DIR]", help="The campaign, a manifest, or the folder of one that began."
+        ),
+    ] = None,
+    objects: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR|FILE", help="In place of a file: a run of every mesh below a folder."),
+    ] = None,
+    gripper: Annotated[
+        list[str] | None,
+        typer.Option(help="For meshes: a built-in name or a TOML file; may be repeated."),
+    ] = None,
+    mass: Annotated[
+        float | None, typer.Option(help="For meshes: of each [kg] whose mass no table states.")
+    ] = None,
+    density: Annotated[
+        float | None, typer.Option(min=1, help="For meshes: the same by volume [kg/m3]; water: 1000.")
+    ] = None,
+    scale: options.Scale = None,
+    units: options.Units = None,
+    simplify: options.Simplify = None,
+    remesh: options.Remesh = False,
+    hull: options.Hull = False,
+    glued: options.Glued = False,
+    skip_unusable: options.SkipUnusable = False,
+    method: Annotated[
+        list[str] | None, typer.Option(help="For meshes: search method; may be repeated.")
+    ] = None,
+    seed: Annotated[list[int] | None, typer.Option(help="For meshes: may be repeated; default 0.")] = None,
+    protocol: options.ProtocolOption = None,
+    engine: options.EngineOption = None,
+    diversity: options.Diversity = None,
+    grasps_per_cell: options.GraspsPerCell = None,
+    evaluations: Annotated[
+        int | None, typer.Option(help="For meshes: counted evaluations of each run; default 10000.")
+    ] = None,
+    shard: Annotated[
+        str | None,
+        typer.Option(metavar="I/N", help="Only the runs of the I-th of N shares, as a job of its own."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="The campaign's folder; default runs/<file>.")] = None,
+    grasps_per_object: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="End a run with so many grasps, or when its object is saturated: --saturation, here 0.1.",
+        ),
+    ] = None,
+    max_evaluations: Annotated[
+        int | None,
+        typer.Option(
+            metavar="M",
+            min=1,
+            help="Most counted evaluations of each run; default with --grasps-per-object 20000.",
+        ),
+    ] = None,
+    successes: options.Successes = None,
+    no_new_cell: options.NoNewCell = None,
+    saturation: options.Saturation = None,
+    seconds: options.Seconds = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    checked: options.Checked = CHECKED_SHARE,
+    listen: options.Listen = None,
+    security: cli_support.SecurityOption = None,
+    insecure: cli_support.InsecureOption = False,
+    job: options.Job = None,
+    disk_wait: options.DiskWait = 60.0,
+    list_runs: Annotated[bool, typer.Option("--list", help="Print the runs, and do nothing.")] = False,
+) -> None:
+    """Carry out all runs of a campaign;
+    one that was stopped goes on, and finished runs are not repeated.
+
+    The file crosses grippers, objects, methods, seeds and any other keys of a spec; see docs/campaigns.md.
+    Flags that end a run replace the file's [defaults]; a [[cross]] with its own keeps them.
+
+    With --grasps-per-object an object with many grasps ends early, and one with few goes on to
+    --max-evaluations; with larger ones the same command goes on.
+
+    A manifest (CSV, Parquet or TOML) names the objects of a library, with what they weigh and are; with
+    --objects every mesh below a folder is grasped instead, whose masses stand in masses.csv there, or are
+    said for all. Both are campaigns of meshes, and take the options for meshes. With --skip-unusable the
+    folder's skipped.csv names what is left out; see docs/objects.md.
+
+    --shard shares the runs among several coordinators, each with a job and a folder, runs/<file>-IofN.
+
+    Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
+
+    Example: qdgrasp campaign --gripper panda --objects parts --units mm --density 1200 --out runs/parts
+
+    Example: qdgrasp campaign library.csv --gripper panda --grasps-per-object 2000 --max-evaluations 20000
+    """  # noqa: D205  # typer joins the lines
+    if None not in (evaluations, max_evaluations):
+        raise InputError("--evaluations and --max-evaluations both say the budget: give one of them.")
+    if max_evaluations is not None and max_evaluations < (grasps_per_object or 0):
+        expected = f"at least {grasps_per_object}, as --grasps-per-object says"
+        raise ImpossibleValue("--max-evaluations", max_evaluations, expected)
+    goals = {
+        "evaluations": max_evaluations,
+        "successes": successes,
+        "grasps": grasps_per_object,
+        "no_new_cell": no_new_cell,
+        "saturation": saturation,
+    }
+    keys = {
+        "gripper": gripper,
+        "method": method,
+        "seed": seed,
+        "protocol": protocol,
+        "engine": engine,
+        "diversity": diversity,
+        "grasps_per_cell": grasps_per_cell,
+        "evaluations": evaluations,
+    }
+    if what is not None and is_manifest(what):
+        if objects is not None:
+            raise InputError(f"'{what}' is a manifest, and --objects is a library too: give one of them.")
+        what, objects = None, what
+    metres, path = scale_of(units, scale), _campaign_folder(what, objects, out, shard)
+    prepared = options.preparation(simplify, remesh, hull, glued)
+    rules = LibraryRules(mass=mass, density=density, scale=metres, mesh=prepared, skip_unusable=skip_unusable)
+    without = defaults_left_out(path)
+    with progress_messages() as tell:
+        if objects is not None:
+            if what is not None:
+                raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
+            if None not in (mass, density):
+                raise InputError("--mass and --density say the same of each object: give one of them.")
+            values = {**goals, **options.given(**keys)}
+            asked = campaign_of_meshes(objects, rules, values, without=without, shard=shard, tell=tell)
+        elif flags := options.given(
+            **keys, mass=mass, density=density, scale=scale, units=units, simplify=simplify,
+            remesh=remesh or None, hull=hull or None, glued=glued or None,
+        ):  # fmt: skip
+            flag = next(iter(flags)).replace("_", "-")
+            raise InputError(
+                f"--{flag} goes with --objects DIR or a manifest: a campaign's file says its own, see "
+                "docs/campaigns.md."
+            )
+        elif what is None:
+            raise InputError(
+                "No campaign is named: give its file or its folder, or a folder of meshes with --objects."
+            )
+        else:
+            file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
+            asked = read_campaign(
+                file,
+                is_begun=what.is_dir(),
+                without=without,
+                goals=goals,
+                rules=rules,
+                shard=shard,
+                tell=tell,
+            )
+    if list_runs:
+        for name, spec in asked.runs.items():
+            echo(f"{name}  {spec.evaluations}")
+        for left_out in asked.skipped or ():
+            echo(f"left out: {left_out.object}: {left_out.reason}")
+        echo(asked.words)
+        return
+    if not JobFolder.is_job(path):
+        with progress_messages() as tell:
+            check_meshes(asked.runs.values(), tell)
+    listening = ListenConfig(listen, security, insecure)
+    count = options.worker_count(workers, *(spec.engine for spec in asked.runs.values()))
+    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds, checked)
+    config.check_engines(asked.runs.values())
+    extent = begin_campaign(path, asked, job)
+    folder = JobFolder(path)
+    with lifetime("qdgrasp campaign") as stop, progress_display(path.name, asked.evaluations) as shown:
+        shown.say(asked.words)
+        if extent.runs_done:
+            shown.say(f"{extent.runs_done} of {counted(extent.runs, 'run is', 'runs are')} finished already")
+        if extent.runs_done < extent.runs:
+            run_job(folder, config, shown, stop)
+    check_not_stopped(folder, stop)
+    print_summary(folder, asked, is_timed=seconds is not None)
+
+
+def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None, shard: str | None) -> Path:
+    if what is None or not what.is_dir():
+        share = f"-{shard.replace('/', 'of')}" if shard else ""
+        return out or Path("runs") / ((what or objects or Path()).absolute().stem + share)
+    if shard is not None:
+        raise InputError(f"{what} is a campaign's folder, whose share is decided; leave --shard out.")
+    if out is not None:
+        raise InputError(f"{what} is a campaign's folder, and goes on where it is; leave --out out.")
+    return what
+
+
+def print_summary(folder: JobFolder, asked: Campaign, *, is_timed: bool) -> None:
+    """Print what the campaign's runs have recorded, finished or not; exit if it is not finished.
+
+    `is_timed`: it was to end after some seconds, so that this is no failure.
+    """
+    queue = CampaignRunQueue(folder, asked.runs)
+    found, recorded = queue.extent, queue.recorded
+    is_whole = found.runs_done == found.runs
+    if not is_whole:
+        echo(f"Not all runs are finished; {resume_hint(folder)}")
+    begun = "" if is_whole else f" finished and {queue.runs_begun} begun,"
+    echo(
+        f"{found.runs_done} of {counted(found.runs, 'run')}{begun} with "
+        f"{counted(recorded.evaluations, 'evaluation')}: {recorded.found}, "
+        f"{counted(recorded.grasps, 'grasp')}, {recorded.screened}. "
+        f"`qdgrasp analyse {folder.path}` draws the figures."
+    )
+    if queue.ends:
+        ends = "; ".join(f"{count} as {reason}" for reason, count in queue.ends.most_common())
+        echo(f"Finished runs ended: {ends}.")
+    echo_errors(recorded.errors, str(folder.path))
+    if found.runs_done < found.runs and not is_timed:
+        raise typer.Exit(EndedEarly.exit_code)
+
+
+def analyse(
+    directory: Annotated[
+        Path, typer.Argument(metavar="DIR", help="A campaign's folder, or any folder of run folders.")
+    ],
+    out: Annotated[Path | None, typer.Option(help="Where to write; default DIR/analysis.")] = None,
+    reference: Annotated[
+        list[Path] | None,
+        typer.Option(help="A reference set of one's own; may be given again. The published ones need none."),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Whose cells are drawn; may be given again. Default: those compared, or the one with most."
+        ),
+    ] = None,
+    objects: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--object", help="On which object cells are drawn; may be given again. Default: all, or one."
+        ),
+    ] = None,
+    log: Annotated[bool, typer.Option("--log", help="Curves on logarithmic axes.")] = False,
+    as_json: options.Json = False,
+) -> None:
+    """Draw and tabulate what the runs of a campaign found,
+    and hold the paper's claims against them.
+
+    Writes the paper's four figures of results for every hand, and others, as PNG, SVG and CSV, and the tables
+    as Markdown and CSV; also while runs go on. Runs that keep too little for curves, as pruned ones may, and
+    runs that repeat a search are left out and named.
+
+    Example: qdgrasp analyse campaigns/paper-small
+    """  # noqa: D205  # typer joins the lines
+    from qdgrasp_tools.report.report import REPORT_FOLDER, write_report  # matplotlib takes its time
+    from qdgrasp_tools.report.tables import left_out_words
+
+    found = write_report(
+        directory,
+        out or directory / REPORT_FOLDER,
+        references=reference or (),
+        methods=method or (),
+        objects=objects or (),
+        log=log,
+    )
+    verdicts = {one.claim.letter: one.verdict.value for one in found.claims}
+    if as_json:
+        values = {"out": str(found.out), "runs": found.runs, "unfinished": found.unfinished}
+        missing = {name: getattr(found, name) for name in ("left_out", "without_curves", "repeats")}
+        echo(json.dumps({**values, "claims": verdicts, **missing}))
+        return
+    for one in found.claims:
+        echo(f"({one.claim.letter}) {one.claim.words}: {one.verdict.value}.")
+    for sentence in left_out_words(found.without_curves, found.repeats):
+        echo(sentence)
+    mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""
+    echo(f"{counted(found.runs, 'run')}{mark}. Figures and tables: {found.out / 'tables.md'}")
+
+
+def merge(
+    directories: Annotated[
+        list[Path], typer.Argument(metavar="DIRS...", help="Folders of runs, pruned or merged ones too.")
+    ],
+    out: Annotated[Path, typer.Option(help="The new folder.")],
+    as_json: options.Json = False,
+) -> None:
+    """Join the successes of runs of one scene, whatever their methods and seeds.
+
+    The new folder is read like a run's: info, coverage, reference, rerank. It keeps what each run was, and
+    which rows are its own. A run that is named twice counts once, and so does one beside an earlier copy of
+    itself. The runs stay as they are.
+
+    Example: qdgrasp merge runs/mug-s0 runs/mug-s1 --out runs/mug-all
+    """
+    from qdgrasp_tools.campaign.merge_prune import merge_runs  # the scene's libraries take their time
+
+    merged = merge_runs([RunFolder.open(directory) for directory in directories], out)
+    found = merged.summary
+    if as_json:
+        echo(json.dumps(msgspec.to_builtins(found) | {"repeats": list(merged.repeats)}))
+        return
+    for sentence in merged.repeats:
+        echo(sentence)
+    echo(f"{found.words} {counted(len(found.sources), 'run')} in {out}.")
+
+
+MIN_MEGABYTES = 50_000  # bytes, 0.1 MB when rounded
+
+
+def prune(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a campaign's.")],
+) -> None:
+    """Drop the failures of finished runs for good; successes, their trials and all figures stay.
+
+    A pruned run cannot be gone on with and has no digest; it has curves where every genome counts as an
+    evaluation (overlaps = "count"). Of a campaign's runs those that are not finished stay as they are.
+
+    Example: qdgrasp prune runs/demo
+    """
+    from qdgrasp_tools.campaign.merge_prune import (
+        prune_campaign,
+        prune_run,  # the archives' libraries take their time
+    )
+
+    is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign
+    if not is_campaign:
+        freed = prune_run(RunFolder.open(directory))
+        echo(f"{_freed_room(freed)}; {directory} keeps successes alone.")
+        return
+    done = prune_campaign(JobFolder(directory))
+    kept = counted(done.runs, "run keeps", "runs keep")
+    echo(f"{_freed_room(done.freed)}; {done.pruned} of {kept} successes alone.")
+
+
+def _freed_room(freed: int) -> str:
+    """Say how many bytes were freed; a small run may even have grown."""
+    return f"{freed / 1e6:.1f} MB are free" if freed >= MIN_MEGABYTES else "Hardly any room is free"

@@ -1,0 +1,325 @@
+"""`qdgrasp gripper`: write the file of a custom hand with guessed values, and check it.
+
+`qdgrasp gripper new` asks on the terminal for values that have no flag, with the guesses as defaults.
+"""
+
+import math
+import shlex
+import sys
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from qdgrasp_assets.asset_check import examine_gripper
+from qdgrasp_assets.asset_report import examine_draft, examine_urdf, hand_faults, read_hand
+from qdgrasp_assets.catalog import find_gripper
+from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
+from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
+from qdgrasp_assets.grippers.gripper import read_gripper
+from qdgrasp_assets.grippers.hand_model import guess_base
+from qdgrasp_assets.grippers.mjcf import is_mjcf
+from qdgrasp_assets.grippers.urdf import Urdf
+from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, SharedFolder
+from qdgrasp_protocol.cli_support import echo
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, QdgraspError
+from qdgrasp_protocol.text import parse_numbers
+from qdgrasp_tools.cli import asset_commands, options
+
+Vector3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class GripperQuestion:
+    """A question about a hand."""
+
+    field: str  # Field of `DraftOverrides`, and of the file
+    words: str
+    read: Callable[[str, str], Any]  # Parses an answer, given its field and its text; raises ImpossibleValue
+
+
+def ask_missing(robot: Urdf, urdf: str, given: DraftOverrides) -> GripperDraft:
+    """Ask on the terminal for values that are not given; an empty answer takes the guess."""
+    draft = draft_gripper(robot, urdf, given)
+    for question in QUESTIONS:
+        if getattr(given, question.field) is None:
+            draft, given = _answered(question, robot, draft, given)
+    return draft
+
+
+def _answered(
+    question: GripperQuestion, robot: Urdf, guessed: GripperDraft, given: DraftOverrides
+) -> tuple[GripperDraft, DraftOverrides]:
+    guess = _shown_default(getattr(guessed.file, question.field))
+    echo(f"# {guessed.reasons[question.field]}")
+    while True:
+        answer = typer.prompt(question.words, default=guess)
+        if answer == guess:
+            return guessed, given
+        try:
+            answered = replace(given, **{question.field: question.read(question.field, answer)})
+            return draft_gripper(robot, guessed.file.urdf, answered, guessed), answered
+        except QdgraspError as error:
+            echo(str(error))
+
+
+def _shown_default(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    return ",".join(_shown_default(each) for each in value) if isinstance(value, Iterable) else f"{value:g}"
+
+
+def parse_names(_: str, text: str) -> tuple[str, ...]:
+    """Parse names between commas."""
+    return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+def parse_text(_: str, answer: str) -> str:
+    """Return the answer without spaces around it."""
+    return answer.strip()
+
+
+def parse_vector(field: str, text: str) -> Vector3:
+    """Parse three numbers between commas; raises ImpossibleValue for other text."""
+    x, y, z = _parse_numbers(field, text, 3, "three numbers such as 0,0,1")
+    return x, y, z
+
+
+def parse_pair(field: str, text: str) -> tuple[float, float]:
+    """Parse two numbers between commas; errors as of `parse_vector`."""
+    least, greatest = _parse_numbers(field, text, 2, "two numbers such as 0,0.05")
+    return least, greatest
+
+
+def parse_number(field: str, text: str) -> float:
+    """Parse a number; errors as of `parse_vector`."""
+    (value,) = _parse_numbers(field, text, 1, "a number such as 0.05")
+    return value
+
+
+def parse_positions(field: str, texts: Iterable[str]) -> dict[str, float]:
+    """Parse joint positions, `NAME=VALUE` between commas; errors as of `parse_vector`."""
+    found = {}
+    for part in (part for text in texts for part in text.split(",")):
+        name, _, value = part.rpartition("=")
+        if not name:
+            raise ImpossibleValue(field, part, "JOINT=POSITION, in rad or m")
+        found[name.strip()] = parse_number(f"{field} {name}", value)
+    return found
+
+
+def _parse_numbers(field: str, text: str, count: int, expected: str) -> list[float]:
+    found = parse_numbers(text)
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise ImpossibleValue(field, text, expected)
+    return found
+
+
+QUESTIONS = (
+    GripperQuestion("base_link", "Base link, on which the hand hangs", parse_text),
+    GripperQuestion(
+        "approach_axis", "Approach axis, from the palm to the object, base link's frame", parse_vector
+    ),
+    GripperQuestion("palm_offset", "From the base link to the palm along it [m]", parse_number),
+    GripperQuestion("standoff", "Stand-off, from the palm to the surface: least,greatest [m]", parse_pair),
+    GripperQuestion("finger_links", "Finger links, whose touch makes a success", parse_names),
+    GripperQuestion("licence", "Licence of the hand's files", parse_text),
+)
+gripper_app = typer.Typer(
+    name="gripper", no_args_is_help=True, help="Hands of one's own: make their files, and check them."
+)
+
+
+@gripper_app.command()
+def new(
+    urdf: Annotated[Path, typer.Argument(metavar="URDF|MJCF", help="The hand, or a robot that ends in one.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE.toml",
+            help="File to write; its folder is made; default: the URDF's name, here.",
+        ),
+    ] = None,
+    base_link: Annotated[str | None, typer.Option(help="The link that the hand hangs on.")] = None,
+    approach_axis: Annotated[
+        str | None, typer.Option(metavar="X,Y,Z", help="From the palm to the object, base link's frame.")
+    ] = None,
+    palm_offset: Annotated[
+        float | None, typer.Option(min=0, help="From the base link to the palm along that axis [m].")
+    ] = None,
+    standoff: Annotated[
+        str | None, typer.Option(metavar="LEAST,MOST", help="From the palm to the surface point [m].")
+    ] = None,
+    fingers: Annotated[
+        str | None, typer.Option(metavar="LINK,...", help="The links whose touch makes a success.")
+    ] = None,
+    opened: Annotated[
+        list[str] | None, typer.Option("--open", metavar="JOINT=POSITION,...", help="Where joints are open.")
+    ] = None,
+    closed: Annotated[
+        list[str] | None,
+        typer.Option("--closed", metavar="JOINT=POSITION,...", help="Where joints close to."),
+    ] = None,
+    finger: Annotated[
+        list[str] | None,
+        typer.Option("--finger", metavar="LINK", help="A link that begins a finger; once for each."),
+    ] = None,
+    not_closing: Annotated[
+        list[str] | None,
+        typer.Option("--not-closing", metavar="JOINT", help="A joint that does not close; may be repeated."),
+    ] = None,
+    free: Annotated[
+        str | None, typer.Option(metavar="JOINT,...", help="Joints whose place is a gene; '' for none.")
+    ] = None,
+    licence: Annotated[str | None, typer.Option(help="Licence of the hand's files.")] = None,
+    mend: Annotated[
+        bool, typer.Option("--mend", help="Write a copy of the hand that the simulator can take, and use it.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: take the guesses.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
+) -> None:
+    """Write the file of a gripper, with a picture beside it:
+    what flags say, the rest guessed from the URDF, each line with its reason.
+
+    On a terminal it asks, with the guesses as defaults. --mend writes a copy of the hand beside the file,
+    with masses where there are none, meshes in metres, hollow ones in convex parts, and the base link in the
+    middle of the fingers.
+
+    Example: qdgrasp gripper new my_hand.urdf --licence BSD-3-Clause --mend
+    """  # noqa: D205  # typer joins the lines
+    given = DraftOverrides(
+        licence=licence,
+        base_link=base_link,
+        approach_axis=None if approach_axis is None else parse_vector("approach-axis", approach_axis),
+        palm_offset=palm_offset,
+        standoff=None if standoff is None else parse_pair("standoff", standoff),
+        finger_links=None if fingers is None else parse_names("fingers", fingers),
+        opened=parse_positions("open", opened or ()),
+        closed=parse_positions("closed", closed or ()),
+        free=None if free is None else parse_names("free", free),
+        finger_roots=tuple(finger or ()),
+        not_closing=tuple(not_closing or ()),
+    )
+    target = out or Path(urdf.with_suffix(".toml").name)
+    file = OutFile(target, suffixes=(".toml",), force=force, inputs=(urdf,))
+    file.check()
+    pictures = SharedFolder(target.parent, "name another path with --out")
+    asset_commands.picture_file(pictures, target.name).check()
+    robot, asks = _single_tree(urdf), is_asked() and not yes
+    with ExitStack() as until_written:
+        robot, given = _usable_robot(robot, given, file, until_written, mend=mend, asks=asks)
+        reference = _reference(robot.path, target)
+        made = ask_missing(robot, reference, given) if asks else draft_gripper(robot, reference, given)
+        found = examine_draft(robot, made, str(target))
+        asset_commands.print_findings(found)
+        asset_commands.refuse_faulty("gripper", found, "was not written")
+        file.write(draft_toml(made, target.name).encode())
+    echo(f"written: {target}")
+    hand = read_gripper(target, target.stem, target.name)
+    echo(f"drawn: {asset_commands.draw_asset(hand, target.name, pictures)}")
+    echo("look at it: does the arrow go from the palm to the fingertips, and do the fingers close on it?")
+    echo(f"next: qdgrasp run --gripper {shlex.quote(str(target))} --object mug")
+
+
+@gripper_app.command()
+def check(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME|TOML|URDF|MJCF", help="A gripper; of a URDF or MJCF file the rest is guessed."
+        ),
+    ],
+    picture: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Draw it open and closed, with its frames.")
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Say what a gripper is and all that is wrong with it, and draw it.
+
+    It ends with exit code 2 where the gripper cannot be used.
+
+    Example: qdgrasp gripper check my_hand.toml --picture pictures
+    """
+    drawing = asset_commands.picture_folder(picture, "--picture", [name])
+    if name.lower().endswith((".urdf", ".xacro", ".xml", ".sdf")):  # of a URDF alone, as it is guessed
+        found, hand = examine_urdf(Path(name).expanduser(), name)
+    else:
+        found, hand = examine_gripper(name), None
+    asset_commands.print_findings(found, as_json=as_json)
+    if drawing is not None and (hand is not None or found.extents is not None):
+        drawn = asset_commands.draw_asset(hand or find_gripper(name), name, drawing)
+        echo(f"drawn: {drawn}", err=as_json)
+    asset_commands.refuse_faulty("gripper", found)
+
+
+def is_asked() -> bool:
+    """Return True if standard input is a terminal."""
+    return sys.stdin.isatty()
+
+
+def _single_tree(urdf: Path) -> Urdf:
+    robot, found, translated = read_hand(urdf)
+    if robot is None:
+        raise AssetError(f"The URDF '{urdf}' cannot be used: {'; and '.join(found)}.")
+    for sentence in translated:
+        echo(f"read: {sentence}")
+    return robot
+
+
+def _usable_robot(
+    robot: Urdf, given: DraftOverrides, file: OutFile, until_written: ExitStack, *, mend: bool, asks: bool
+) -> tuple[Urdf, DraftOverrides]:
+    """The robot, or a mended copy of its hand, with the base link that is to be used.
+
+    A hand of an MJCF file is always copied, to a URDF. The copy goes where `until_written` fails.
+    """
+    base, reason = (given.base_link, given.base_reason) if given.base_link else guess_base(robot)
+    if base not in robot.links:
+        return robot, given
+    found = hand_faults(robot, base)
+    if found and not mend:
+        mend = asks and _wants_copy(found)
+    if found and not mend:
+        raise AssetError(
+            f"The URDF '{robot.path}' cannot be used as it is: {'; and '.join(found)}. "
+            "--mend writes a copy of the hand in which what can be mended is."
+        )
+    translates = is_mjcf(robot.path)
+    if not mend and not translates:
+        return robot, given
+    OutFile(mended_urdf(file.path), force=file.force).check()
+    OutFolder(mended_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
+    may_centre = mend and given.base_link is None
+    until_written.enter_context(atomic_files.making_parents(file.path.absolute().parent))
+    mending = mended_copy(
+        robot, base, file.path, _print_examination, may_centre=may_centre, overrides=given, as_it_is=not mend
+    )
+    copy = until_written.enter_context(mending)
+    for change in copy.changes or (("nothing had to be",) if mend else ()):
+        echo(f"mended: {change}")
+    echo(f"written: {mended_urdf(file.path)}")
+    return copy.robot, replace(
+        given, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
+    )
+
+
+def _print_examination(sentence: str) -> None:
+    echo(f"{sentence} ...", err=True)
+
+
+def _wants_copy(found: Iterable[str]) -> bool:
+    for fault in found:
+        echo(f"WRONG {fault}", err=True)
+    return typer.confirm("Write a mended copy of the hand, and use that?", default=True)
+
+
+def _reference(urdf: Path, target: Path) -> str:
+    """Return the URDF's path as the file names it: relative if it lies below the file's folder."""
+    whole, folder = urdf.resolve(), target.resolve().parent
+    return str(whole.relative_to(folder) if whole.is_relative_to(folder) else whole)

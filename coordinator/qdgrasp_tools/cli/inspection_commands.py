@@ -1,0 +1,433 @@
+"""Commands that read runs: `info`, `show`, `digest`, `verify`, `render`, `view`.
+
+Also `methods`, which lists the search methods.
+"""
+
+import json
+import os
+import threading
+import webbrowser
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import msgspec
+import typer
+
+from qdgrasp_coordinator.metrics.job_status import ObjectListing
+from qdgrasp_coordinator.metrics.run_stats import outcome_words
+from qdgrasp_coordinator.search.registry import METHODS
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN, OutFile
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
+from qdgrasp_protocol.cli_support import echo
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.extras import EXTRAS, check_packages
+from qdgrasp_protocol.process import lifetime
+from qdgrasp_protocol.text import counted, parse_numbers, printable
+from qdgrasp_tools.campaign.campaign_folder import campaign_objects, campaign_summary
+from qdgrasp_tools.campaign.object_table import (
+    SORT_KEYS,
+    least_objects,
+    select_objects,
+    table_lines,
+    to_csv,
+)
+from qdgrasp_tools.campaign.summary import run_summary
+from qdgrasp_tools.cli import options
+from qdgrasp_tools.cli.options import host_and_port
+from qdgrasp_tools.local.progress import progress_display
+from qdgrasp_tools.local.supervisor import LocalJobConfig
+from qdgrasp_tools.report.row_report import row_report
+from qdgrasp_tools.verification.verify import choose_rows, compare_engine, run_folders_at, verify_rows
+
+if TYPE_CHECKING:
+    from qdgrasp_tools.verification.replay_client import PictureSize
+
+
+def info(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run, or of a campaign.")],
+    objects: Annotated[
+        bool, typer.Option("--objects", help="Of a campaign: print a table of its objects.")
+    ] = False,
+    search: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="With --objects: those with these words in name, state or note."),
+    ] = None,
+    sort: Annotated[
+        str | None,
+        typer.Option(metavar="KEY", help=f"With --objects: by {', '.join(SORT_KEYS)}; -KEY: greatest first."),
+    ] = None,
+    least: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="With --objects: the N with a finished run that got least."),
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="With --objects: write the table there.")
+    ] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Say what a run is and what it has found, also while it goes on.
+
+    Of a campaign it says how much of it is done, what its objects got, which got little and why, and how many
+    were left out; with --objects each object has a line.
+
+    Example: qdgrasp info runs/demo --json
+
+    Example: qdgrasp info runs/parts --objects --sort grasps --search mug
+    """
+    is_campaign = JobFolder.is_job(directory) and (directory / CAMPAIGN).is_file()
+    given = options.given(objects=objects or None, search=search, sort=sort, least=least, csv=table)
+    if given and not is_campaign:
+        raise InputError(
+            f"--{next(iter(given))} is about the objects of a campaign, and {directory} holds none; leave it "
+            "out, or name the folder of a campaign."
+        )
+    if given and not objects:
+        raise InputError(f"--{next(iter(given))} does nothing without --objects; add it, or leave it out.")
+    if objects:
+        output = OutFile(table, instead="name another file with --csv", force=None) if table else None
+        if output:
+            output.check()
+        key = (sort or "").removeprefix("-")
+        down = (sort or "").startswith("-")
+        select_objects((), sort=key)
+        listed = campaign_objects(JobFolder.open(directory))
+        shown = select_objects(
+            least_objects(listed, least) if least else listed, search or "", key, down=down
+        )
+        _print_objects(shown, output, as_json=as_json)
+        return
+    found = (
+        campaign_summary(JobFolder.open(directory)) if is_campaign else run_summary(RunFolder.open(directory))
+    )
+    echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+
+
+def _print_objects(shown: Sequence[ObjectListing], output: OutFile | None, *, as_json: bool) -> None:
+    if output:
+        output.write(to_csv(shown))
+    if as_json:
+        echo(json.dumps(msgspec.to_builtins(shown)))
+    elif output:
+        echo(f"{counted(len(shown), 'object')} in {output.path}")
+    else:
+        echo("\n".join(printable(line) for line in table_lines(shown)))
+
+
+def show(
+    directory: options.RunDir,
+    grasp: Annotated[int, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")],
+    as_json: options.Json = False,
+) -> None:
+    """Print everything known about one grasp of a run, or about any other row of its journal.
+
+    Rows are counted as the monitor's view in 3D counts them. Poses are in the object's centre-of-mass frame,
+    quaternions in the order x, y, z, w.
+
+    Example: qdgrasp show runs/demo --grasp 17
+    """
+    found = row_report(RunFolder.open(directory), grasp)
+    echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+
+
+def digest(directory: options.RunDir) -> None:
+    """Print one sha256 over the journal's rows in order.
+
+    It does not depend on workers, batches, kills, hosts or time: two runs of one spec have the same.
+
+    Example: qdgrasp digest runs/demo
+    """
+    with RunFolder.open(directory).journal() as journal:
+        echo(digest_of(journal))
+
+
+SAMPLE_ROWS = 100
+
+
+def verify(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run, or of a campaign.")],
+    sample: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help=f"How many rows; default {SAMPLE_ROWS}.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed draws other rows.")] = 0,
+    every: Annotated[bool, typer.Option("--all", help="Evaluate every row again.")] = False,
+    engine: Annotated[
+        str | None, typer.Option(help="Compare verdicts on successes with this engine: bullet or mujoco.")
+    ] = None,
+    workers: options.OwnWorkers = None,
+    batch_size: options.BatchSize = None,
+    as_json: options.Json = False,
+) -> None:
+    """Evaluate recorded rows again, and compare every result with the recorded one, bit for bit.
+
+    Rows are drawn from all runs in the folder, of each outcome as many as of any other, trials apart; each
+    goes through its own prior, genome and trial. Where something differs, the rows and columns are named, and
+    how this platform differs from the one that they were made on. Exit code 0: all the same; 1: not all.
+
+    With --engine the commanded poses of successes of a run are simulated in another engine, and both verdicts
+    of each written to engine-NAME.csv in its folder; they may differ, so that the exit code is 0. The table
+    keeps what it has of other successes.
+
+    Example: qdgrasp verify runs/demo --sample 500
+    """
+    if every and sample is not None:
+        raise InputError("--all leaves nothing to --sample: give one of them.")
+    folders = run_folders_at(directory)
+    engines = [engine] if engine is not None else [folder.spec.engine for folder in folders]
+    config = LocalJobConfig(options.worker_count(workers, *engines), batch_size)
+    most = None if every else sample or SAMPLE_ROWS
+    if engine is not None:
+        with progress_display("verify", most or 0) as shown, lifetime("qdgrasp verify") as stop:
+            compared = compare_engine(RunFolder.open(directory), engine, most, seed, config, shown, stop)
+        if compared is None:
+            raise typer.Exit(stop.exit_code)
+        echo(json.dumps(msgspec.to_builtins(compared)) if as_json else compared.table)
+        return
+    samples = choose_rows(folders, most, seed)
+    with (
+        progress_display("verify", sum(len(sample.numbers) for sample in samples)) as shown,
+        lifetime("qdgrasp verify") as stop,
+    ):
+        found = verify_rows(samples, config, shown, stop)
+    if stop.is_set:
+        raise typer.Exit(stop.exit_code)
+    echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+    if not found.is_same:
+        raise typer.Exit(1)
+
+
+RenderFlag = Literal["all", "closing", "shakes"]
+
+
+def render(
+    directory: options.RunDir,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="A picture (.png) or a film (.gif); its folder is made."
+        ),
+    ],
+    grasp: Annotated[
+        int | None, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")
+    ] = None,
+    grasps: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHICH",
+            help="Several beside each other: best:12, diverse:12, random:12, or rows' numbers: 3,17,22.",
+        ),
+    ] = None,
+    trial: Annotated[int | None, typer.Option(min=0, help="Show this trial of the grasp instead.")] = None,
+    what: Annotated[
+        RenderFlag | None, typer.Option(help="Which part of the evaluation a film has; default: all.")
+    ] = None,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WxH",
+            show_default=False,
+            help="Width and height [pixels]; default: 640x560, with --grasps 320x280 of each.",
+        ),
+    ] = None,
+    view: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="AZIMUTH,ELEVATION",
+            help="Where the camera stands about the object's z [deg]; default: where most is seen.",
+        ),
+    ] = None,
+    parts: Annotated[
+        bool, typer.Option("--parts", help="Draw the object's convex parts, which are simulated.")
+    ] = False,
+    pregrasp: Annotated[
+        bool, typer.Option("--pregrasp", help="Draw the open hand in its commanded pose, before closing.")
+    ] = False,
+    no_labels: Annotated[
+        bool, typer.Option("--no-labels", help="Draw no words: neither names of frames nor lines below.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+) -> None:
+    """Carry one evaluation of a run out again and draw it, with its contacts and frames;
+    or draw several grasps beside each other.
+
+    Any row of the journal can be shown, also one that failed. A picture has the hand after closing, or as it
+    was placed if it did not close; a film goes through all of it, 3.2 times slower than it was. The
+    result is compared with the recorded one: where they differ that is said, and the exit code is 1.
+
+    With --grasps nothing is carried out again: each hand is drawn as it is recorded after closing, all from
+    one side and at one scale, each above its number, outcome, score and margin.
+
+    Example: qdgrasp render runs/demo --grasp 17 -o grasp.gif
+
+    Example: qdgrasp render runs/demo --grasps best:12 -o sheet.png
+    """  # noqa: D205  # typer joins the lines
+    if (grasp is None) == (grasps is None):
+        raise InputError("Name one row with --grasp N, or several with --grasps, as in --grasps best:12.")
+    from qdgrasp_tools.verification.evaluation_picture import (
+        LARGEST,  # what draws takes its time to load
+        SMALLEST,
+        difference_reason,
+        write_evaluation,
+    )
+    from qdgrasp_tools.verification.replay_client import ReplayOptions, replay_target
+
+    if grasps is not None:
+        alone = options.given(trial=trial, what=what, parts=parts or None)
+        if alone:
+            raise InputError(f"--{next(iter(alone))} is about one evaluation; leave it out with --grasps.")
+        _render_sheet(
+            directory, grasps, OutFile(out, suffixes=(".png",), force=force), size, view, pregrasp, no_labels
+        )
+        return
+    output = OutFile(out, suffixes=tuple(LARGEST), force=force)
+    output.check()
+    suffix = out.suffix.lower()
+    is_film = suffix == ".gif"
+    if what is not None and not is_film:
+        raise InputError(f"--what chooses a part of a film, and {out} is a picture: name a .gif.")
+    if pregrasp and is_film:
+        raise InputError(f"--pregrasp draws one picture, and {out} is a film: name a .png.")
+    wish = ReplayOptions(
+        _picture_size(size or "640x560", SMALLEST, LARGEST[suffix], f" for a {suffix}"),
+        _camera_view(view),
+        (what or "all") if is_film else None,
+        parts,
+        pregrasp,
+    )
+    shown = replay_target(RunFolder.open(directory), grasp or 0, trial)
+    echo(f"replaying row {shown.number} of {directory}", err=True)
+    with lifetime("qdgrasp render") as stop:
+        unlike = write_evaluation(shown, wish, output, stop, has_labels=not no_labels)
+        if stop.is_set:
+            raise typer.Exit(stop.exit_code)
+        if unlike:
+            echo(difference_reason(shown, unlike), err=True)
+    echo(f"{outcome_words(shown.outcome)}, row {shown.number}: drawn in {out}")
+    if unlike:
+        raise typer.Exit(1)
+
+
+def _render_sheet(
+    directory: Path,
+    grasps: str,
+    output: OutFile,
+    size: str | None,
+    view: str | None,
+    pregrasp: bool,
+    no_labels: bool,
+) -> None:
+    from qdgrasp_tools.verification.grasp_sheet import (
+        LARGEST_PANEL,  # what draws takes its time to load
+        SMALLEST_PANEL,
+        SheetChoice,
+        write_sheet,
+    )
+
+    output.check()
+    choice = SheetChoice.parse(grasps)
+    panel = _picture_size(size or "320x280", SMALLEST_PANEL, LARGEST_PANEL, " with --grasps")
+    camera = _camera_view(view)
+    chosen = choice.read(RunFolder.open(directory))
+    with lifetime("qdgrasp render") as stop:
+        title = choice.title(chosen)
+        write_sheet(
+            chosen, title, panel, output, stop, view=camera, pregrasp=pregrasp, has_labels=not no_labels
+        )
+        if stop.is_set:
+            raise typer.Exit(stop.exit_code)
+    numbers = ", ".join(map(str, chosen.numbers.tolist()))
+    echo(f"{title}; drawn in {output.path}: {numbers}")
+
+
+def _picture_size(text: str, smallest: "PictureSize", largest: "PictureSize", of: str) -> "PictureSize":
+    words = text.lower().split("x")
+    if len(words) == 2 and all(word.isdecimal() for word in words):
+        size = type(smallest)(*map(int, words))
+        if smallest.width <= size.width <= largest.width and smallest.height <= size.height <= largest.height:
+            return size
+    raise ImpossibleValue("--size", text, f"{smallest} to {largest}{of}")
+
+
+def _camera_view(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    match parse_numbers(text):
+        case [azimuth, elevation] if abs(azimuth) <= 360.0 and abs(elevation) <= 90.0:
+            return azimuth, elevation
+    raise ImpossibleValue(
+        "--from", text, "AZIMUTH,ELEVATION in degrees, -360 to 360 and -90 to 90, as in 40,25"
+    )
+
+
+LOCAL_PAGE = "127.0.0.1:0"
+
+
+def view(
+    directories: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="DIR...", help="Folders of runs and campaigns, or ones that hold such folders."
+        ),
+    ],
+    web: Annotated[
+        str,
+        typer.Option(
+            metavar="HOST:PORT",
+            show_default=False,
+            help="Serve the page there; default: on loopback, at a port that is free.",
+        ),
+    ] = LOCAL_PAGE,
+    no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser.")] = False,
+) -> None:
+    """Look at the grasps of runs in the browser: in 3D, with filters, and the hand as it grasps.
+
+    Runs may be finished or going on; nothing is changed. The page is there until Ctrl-C. Beyond loopback it
+    wants a token, which is printed.
+
+    Example: qdgrasp view runs/demo
+    """
+    host, port = host_and_port(web)
+    check_packages("The page", *EXTRAS["monitor"])
+    with lifetime("qdgrasp-view") as stop:
+        from qdgrasp_tools.monitor.records import FolderIndex
+        from qdgrasp_tools.monitor.web.routes import folder_site
+        from qdgrasp_tools.monitor.web.server import serve
+
+        def opened(address: str) -> None:
+            echo(f"The grasps are shown at {address} until Ctrl-C.")
+            if not no_open and has_desktop(os.environ):
+                threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+
+        serve(folder_site(FolderIndex(directories)), host, port, "", stop, opened)
+    raise typer.Exit(stop.exit_code)
+
+
+def has_desktop(environment: Mapping[str, str]) -> bool:
+    """Return True if this machine has a screen and the user is not connected over SSH."""
+    shown = environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY")
+    return bool(shown) and not environment.get("SSH_CONNECTION")
+
+
+METHOD_COLUMNS = ("name", "prior", "overlaps", "population", "generations_in_flight", "in_flight", "summary")
+METHOD_WIDTHS = (18, 10, 9, 11, 22, 10, 0)
+
+
+def methods(as_json: options.Json = False) -> None:
+    """Name every search method with its prior and its defaults; the first is the default.
+
+    Example: qdgrasp methods --json
+    """
+    table = [{column: getattr(entry, column) for column in METHOD_COLUMNS} for entry in METHODS.values()]
+    if as_json:
+        echo(json.dumps(table))
+        return
+    echo(_method_line(METHOD_COLUMNS))
+    for entry in table:
+        echo(_method_line(tuple(entry.values())))
+
+
+def _method_line(cells: tuple[object, ...]) -> str:
+    return " ".join(f"{cell!s:<{width}}" for cell, width in zip(cells, METHOD_WIDTHS, strict=True))

@@ -1,0 +1,217 @@
+"""`qdgrasp jobs`, `pause`, `continue`, `cancel` and `drain`: running jobs on the bus."""
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from qdgrasp_coordinator.metrics.job_status import ObjectListing, utc_now
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_protocol import cli_support, messages
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.cli_support import echo
+from qdgrasp_protocol.errors import BusError, InputError, MessageError, NoReply, Refused, UnknownName
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.messages import Order, OrderReply
+from qdgrasp_protocol.session import Credentials, Role, default_endpoint, parse_endpoints
+from qdgrasp_protocol.text import printable
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.campaign.object_table import with_events
+from qdgrasp_tools.cli import options
+from qdgrasp_tools.monitor.feed import reachable_jobs, summary_lines
+from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.records import BusRecords
+
+SESSION_SECONDS = 6.0  # seconds that a router may take to answer, over a slow link too
+
+
+@contextmanager
+def open_session(
+    connect: str, security: Path | None, role: Role = Role.ADMIN, wait: float = SESSION_SECONDS
+) -> Iterator[Bus]:
+    """Open a session at a router that answers within `wait` seconds; a signal ends it.
+
+    Raises `EndpointError` where nothing answers, `SecurityError` where the folder lacks the role's files.
+    """
+    credentials = Credentials.find(security, role)
+    with ZenohBus.connect(connect, wait, credentials=credentials) as bus:
+        yield bus
+
+
+JobDir = Annotated[
+    Path | None,
+    typer.Argument(metavar="DIR", help="A job's folder: its job alone, where its coordinator listens."),
+]
+
+
+@dataclass(frozen=True)
+class JobPlace:
+    """A router at which jobs are looked for, and there one job, or any."""
+
+    endpoint: str
+    folder: JobFolder | None = None
+    """The job's folder; None: any job is meant."""
+
+    @classmethod
+    def of(cls, directory: Path | None, connect: str | None, security: Path | None) -> "JobPlace":
+        """Return the place of a folder's job, or of the endpoint given, or the default one.
+
+        An InputError if both are given, and a FolderError if no coordinator of the folder's job listens.
+        """
+        if directory is None:
+            return cls(router_endpoint(connect, security))
+        if connect is not None:
+            raise InputError(f"{directory} says where its coordinator listens: leave out --connect, or it.")
+        folder = JobFolder.open(directory)
+        if folder.endpoint is None:
+            raise folder.no_coordinator()
+        places = (place.from_here for place in parse_endpoints(folder.endpoint))
+        return cls(",".join(places), folder)
+
+    def chosen(self, views: Sequence[JobView]) -> list[JobView]:
+        """Return the views of the jobs that are meant: another user's may have the same name."""
+        folder = self.folder
+        if folder is None:
+            return list(views)
+        name, identity = folder.name, folder.identity
+        return [view for view in views if view.job == name and view.meta.identity in ("", identity)]
+
+
+def no_job_message(endpoint: str) -> str:
+    """The sentence for a router without jobs."""
+    return f"No job is at {endpoint}: the router answers, but no coordinator does."
+
+
+def router_endpoint(connect: str | None, security: Path | None) -> str:
+    """Return the endpoint that was given, or the default one."""
+    return connect or default_endpoint(encrypted=security is not None).text
+
+
+def recorded_objects(bus: Bus, view: JobView) -> Sequence[ObjectListing]:
+    """Return the objects of a job of several runs; none where no recorder answers."""
+    if view.figures.runs < 2:
+        return ()
+    try:
+        listings = BusRecords(bus).objects(view.job).objects
+    except (BusError, MessageError):
+        return ()
+    return with_events(listings, view.events, view.figures.building)
+
+
+def jobs(
+    directory: JobDir = None,
+    connect: cli_support.ConnectOption = None,
+    security: cli_support.SecurityOption = None,
+    as_json: options.Json = False,
+) -> None:
+    """Say which jobs there are, what they have done, and who works on them.
+
+    Example: qdgrasp jobs --connect tcp/head:7447
+
+    Example: qdgrasp jobs runs/mugs
+    """
+    place = JobPlace.of(directory, connect, security)
+    endpoint = place.endpoint
+    with open_session(endpoint, security, Role.MONITOR) as bus:
+        found = place.chosen(reachable_jobs(bus))
+        objects = {job.job: recorded_objects(bus, job) for job in ([] if as_json else found)}
+    if not found and place.folder is not None:
+        raise place.folder.no_coordinator()
+    if as_json:
+        echo(json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(found)}))
+    elif not found:
+        echo(no_job_message(endpoint))
+    for job in () if as_json else found:
+        for line in summary_lines(job, utc_now(), objects[job.job]):
+            echo(printable(line))
+
+
+JobName = Annotated[str, typer.Argument(metavar="JOB", help="The job's name; `qdgrasp jobs` lists them.")]
+
+
+def pause(
+    job: JobName, connect: cli_support.ConnectOption = None, security: cli_support.SecurityOption = None
+) -> None:
+    """Hand out no more work of a job until `qdgrasp continue`; batches that are out still count.
+
+    The results of a run do not depend on it. A coordinator that is started again goes on by itself.
+
+    Example: qdgrasp pause mugs
+    """
+    send_order(job, connect, security, Order(act="pause"))
+
+
+def continue_(
+    job: JobName, connect: cli_support.ConnectOption = None, security: cli_support.SecurityOption = None
+) -> None:
+    """Let a paused job go on.
+
+    Example: qdgrasp continue mugs
+    """
+    send_order(job, connect, security, Order(act="continue"))
+
+
+def cancel(
+    job: JobName, connect: cli_support.ConnectOption = None, security: cli_support.SecurityOption = None
+) -> None:
+    """End a job before it is done: what is recorded stays, and can be gone on with.
+
+    Its coordinator ends with exit code 0. A `qdgrasp run` or `campaign` that started it ends with 1, because
+    the job is not done, and names the command that goes on.
+
+    Example: qdgrasp cancel mugs
+    """
+    send_order(job, connect, security, Order(act="cancel"))
+
+
+def drain(
+    job: JobName,
+    worker: Annotated[
+        str | None, typer.Option(metavar="WID", help="A worker's id, or how it begins; see `jobs --json`.")
+    ] = None,
+    host: Annotated[str | None, typer.Option(help="Every worker on this host.")] = None,
+    connect: cli_support.ConnectOption = None,
+    security: cli_support.SecurityOption = None,
+) -> None:
+    """Have workers finish the batches at hand and leave a job.
+
+    Example: qdgrasp drain mugs --host node7
+    """
+    if (worker is None) == (host is None):
+        raise InputError("Whom is the job to do without? Name a worker with --worker, or a host with --host.")
+    if worker is not None and not (worker and set(worker) <= set("0123456789abcdef") and len(worker) <= 32):
+        raise InputError(f"'{worker}' is no worker's id: 32 hexadecimal digits, or the first few of them.")
+    send_order(job, connect, security, Order(act="drain", worker=worker or "", host=host or ""))
+
+
+def send_order(job: str, connect: str | None, security: Path | None, order: Order) -> None:
+    """Send an order to a job's coordinator, and print its reply.
+
+    Raises `UnknownName` where there is no such job, another `InputError` where it cannot be done.
+    """
+    endpoint = router_endpoint(connect, security)
+    with open_session(endpoint, security) as bus:
+        try:
+            answer = bus.ask(Keys(job).control, messages.encode(order))
+        except Refused as refusal:
+            raise InputError(f"Nothing was done: {refusal}.") from None
+        except NoReply:
+            raise _no_coordinator(bus, job, endpoint) from None
+    echo(printable(messages.decode(answer, OrderReply).words))
+
+
+def _no_coordinator(bus: Bus, job: str, endpoint: str) -> InputError:
+    known = [view.meta.job for view in reachable_jobs(bus)]
+    if not known:
+        return InputError(no_job_message(endpoint))
+    if job in known:
+        return InputError(
+            f"The coordinator of job '{job}' did not answer in time, and may still carry the order out: "
+            "`qdgrasp jobs` shows the state of the job."
+        )
+    return UnknownName("job", job, known)

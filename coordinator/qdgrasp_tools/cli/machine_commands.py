@@ -1,0 +1,306 @@
+"""`qdgrasp doctor`, `bench` and `security`: checking, measuring and securing machines.
+
+Whether a machine has what a run needs, how fast it is, and certificates and access lists for jobs on many.
+"""
+
+import importlib.metadata
+import json
+import os
+import platform as machine
+import socket
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from qdgrasp_assets import catalog
+from qdgrasp_assets.geometry.mesh_io import scale_of
+from qdgrasp_coordinator.scheduler.run_plan import full_spec, prepare_scene
+from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.cli_support import echo
+from qdgrasp_protocol.engines import (
+    DEFAULT_ENGINE,
+    DEVICE_ENGINE,
+    DEVICE_VARIABLE,
+    ENGINE_PACKAGES,
+    MissingEngine,
+    check_engine,
+)
+from qdgrasp_protocol.errors import InputError, QdgraspError, SecurityError
+from qdgrasp_protocol.process import ProcessGroup, lifetime
+from qdgrasp_protocol.session import Role, default_endpoint
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.text import counted
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.cli import options
+from qdgrasp_tools.local.benchmark_figures import BENCH_METHOD, NodeFigures, node_info, package_version
+from qdgrasp_tools.local.node_benchmark import SceneBenchmark, SceneMeasurement
+from qdgrasp_tools.local.progress import LineProgress
+from qdgrasp_tools.local.restart_policy import GRACE
+from qdgrasp_tools.local.supervisor import check_engines
+
+PACKAGES = ("eclipse-zenoh", "numpy", "trimesh", "msgpack", "coacd")
+OLDEST_PYTHON = (3, 11)
+NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}
+SIMULATOR_SECONDS, DEVICE_SECONDS = 60, 900  # Without a device, and with one, which compiles first [s]
+
+
+class MissingRequirement(InputError):
+    """A requirement of runs is missing."""
+
+
+def doctor() -> None:
+    """Check what a run needs on this machine: Python, packages, bus, simulator, disk and assets.
+
+    Example: qdgrasp doctor
+    """
+    checks: dict[str, Callable[[], str]] = {
+        "python": _check_python,
+        "packages": lambda: ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES),
+        "engines": _check_engines,
+        "cores": lambda: str(options.cores()),
+        "bus": _check_bus,
+        "simulator": _check_simulator,
+        "disk": _check_disk,
+        "assets": _check_assets,
+    }
+    failed = [name for name, check in checks.items() if not _report(name, check)]
+    if failed:
+        raise MissingRequirement(f"{len(failed)} of {len(checks)} checks failed: {', '.join(failed)}.")
+
+
+def _report(name: str, check: Callable[[], str]) -> bool:
+    try:
+        echo(f"ok      {name:<10} {check()}")
+    except (QdgraspError, OSError, ImportError) as error:
+        echo(f"FAILED  {name:<10} {error}")
+        return False
+    return True
+
+
+def _check_python() -> str:
+    if sys.version_info < OLDEST_PYTHON:
+        raise MissingRequirement(f"Python 3.11 or later is needed, this is {machine.python_version()}.")
+    return f"{machine.python_version()} on {machine.machine()}"
+
+
+def _check_engines() -> str:
+    """Name both engines; without PyBullet, say what does not work."""
+    found = ", ".join(f"{name} {package_version(name)}" for name in ENGINE_PACKAGES.values())
+    try:
+        check_engine(DEFAULT_ENGINE)
+    except MissingEngine as why:
+        return f"{found}: {why}"
+    return found
+
+
+def _check_bus() -> str:
+    router, endpoint = ZenohBus.embedded(None)
+    with router, ZenohBus.connect(endpoint, 5.0) as client:
+        client.put("qdgrasp/v1/doctor/meta", b"{}", encoding="application/json")
+    return f"a router listened on {endpoint} and took a client"
+
+
+def _check_simulator() -> str:
+    command = [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"]
+    seconds = DEVICE_SECONDS if os.environ.get(DEVICE_VARIABLE) else SIMULATOR_SECONDS
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
+    except subprocess.TimeoutExpired:
+        raise MissingRequirement(f"the probe set took more than {seconds} s.") from None
+    if done.returncode:
+        raise MissingRequirement(
+            (done.stderr.strip().splitlines() or ["the worker ended without a word"])[-1]
+        )
+    platform = json.loads(done.stdout.strip().splitlines()[-1])
+    device = [f"{DEVICE_ENGINE} on {platform['warp_device']}"] if DEVICE_ENGINE in platform else []
+    probes = {name.replace("_", " "): digest for name, digest in platform.items() if "probes" in name}
+    return ", ".join([*(f"{name} {digest[:12]}" for name, digest in probes.items()), *device])
+
+
+def _check_disk() -> str:
+    here = Path.cwd()
+    kind = _file_system(here)
+    if kind in NETWORK_FILE_SYSTEMS:
+        raise MissingRequirement(f"{here} is on a network file system ({kind}); records need a local disk.")
+    with tempfile.NamedTemporaryFile(dir=here):
+        free = os.statvfs(here)
+    return f"{free.f_bavail * free.f_frsize >> 30} GiB free, SQLite {sqlite3.sqlite_version}"
+
+
+def _file_system(path: Path) -> str:
+    """Return the type of the file system that holds `path`, empty where it is not known."""
+    try:
+        mounts = [line.split()[1:3] for line in Path("/proc/mounts").read_text().splitlines()]
+    except OSError:
+        return ""
+    holding = [(mount, kind) for mount, kind in mounts if path.is_relative_to(mount)]
+    return max(holding, key=lambda entry: len(entry[0]))[1] if holding else ""
+
+
+def _check_assets() -> str:
+    return f"grippers {', '.join(catalog.gripper_names())}; objects {', '.join(catalog.object_names())}"
+
+
+BENCH_OBJECTS = ("rubiks_cube", "mug")
+
+
+def bench(
+    gripper: Annotated[str, typer.Option(help="Gripper: a built-in name or a TOML file.")] = "panda",
+    objects: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--object", help="Object: a built-in name or a mesh file; may be repeated. Default: two."
+        ),
+    ] = None,
+    mass: options.Mass = None,
+    scale: options.Scale = None,
+    units: options.Units = None,
+    protocol: options.ProtocolOption = None,
+    engine: options.EngineOption = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Worker processes; default: one per core.")
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option(min=0.1, max=3600, help="How long each regime is measured.")
+    ] = 4.0,
+    as_json: options.Json = False,
+) -> None:
+    """Measure what this node makes of evaluations: with one worker, and with all.
+
+    A job is carried out as `qdgrasp run` does it, but nothing is kept. Poses anywhere are mostly rejected at
+    once; poses near grasps are mostly shaken to the end. Any run lies between the two.
+
+    Example: qdgrasp bench --gripper allegro --object mug --object banana --workers 4
+    """
+    values = options.given(
+        gripper=gripper,
+        mass=mass,
+        scale=scale_of(units, scale),
+        protocol=protocol,
+        engine=engine,
+        method=BENCH_METHOD,
+    )
+    specs = [full_spec(values | {"object": name}, "bench") for name in objects or BENCH_OBJECTS]
+    check_engines(specs)
+    count, here = options.worker_count(workers, specs[0].engine), node_info()
+    found = [_measure_scene(spec, count, seconds) for spec in specs]
+    figures = NodeFigures(
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
+        node=here,
+        platform=found[0].platform,
+        scenes=[scene.figures for scene in found],
+    )
+    echo(json.dumps(msgspec.to_builtins(figures)) if as_json else figures.table)
+
+
+def _measure_scene(spec: RunSpec, workers: int, seconds: float) -> SceneMeasurement:
+    """Measure one scene with workers of its own; a signal ends the command."""
+    lines = LineProgress("bench")
+    lines.say(f"building the scene of {spec.gripper} and {spec.object}")
+    benchmark = SceneBenchmark(spec, prepare_scene(spec), workers=workers, seconds=seconds, display=lines)
+    with lifetime("qdgrasp bench") as stop, ExitStack() as stack:
+        logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
+        bus, endpoint = ZenohBus.embedded(None)
+        stack.enter_context(bus)
+        measured = benchmark.run(bus, endpoint, stack.enter_context(ProcessGroup(logs, GRACE)), stop)
+    if measured is None:
+        raise typer.Exit(stop.exit_code)
+    return measured
+
+
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
+security_app = typer.Typer(
+    name="security", no_args_is_help=True, help="Certificates and access lists for jobs on many machines."
+)
+
+Days = Annotated[int, typer.Option(min=1, max=36500, help="How long certificates are good [days].")]
+Hosts = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--host",
+        help="Name or address by which a router is reached; may be repeated; default: this machine's.",
+    ),
+]
+Directory = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of certificates.")]
+
+
+@security_app.command()
+def init(directory: Directory, host: Hosts = None, days: Days = 365) -> None:
+    """Write an authority, a certificate for each role, and the routers' access list.
+
+    DIR/ca.key signs further certificates and is needed for nothing else. A node that only serves workers
+    needs ca.pem, worker.pem and worker.key; `qdgrasp security add` makes a folder for one.
+
+    Example: qdgrasp security init security --host head --host 10.0.0.1
+    """
+    from qdgrasp_tools.security.folder import SecurityFolder  # cryptography takes a while to load
+
+    made = SecurityFolder.create(directory, hosts=_router_hosts(host), days=days)
+    echo(
+        f"{made.path} holds an authority and certificates for {', '.join(Role)}, good for "
+        f"{counted(days, 'day')}. "
+        f"Start a router: `qdgrasp-router --listen tls/0.0.0.0:7447 --security {made.path}`."
+    )
+
+
+@security_app.command()
+def add(
+    directory: Directory,
+    role: Annotated[Role, typer.Argument(help="The role that the certificate allows.")],
+    name: Annotated[str, typer.Argument(help="Name of the node that it is for.")],
+    host: Hosts = None,
+    days: Days = 365,
+) -> None:
+    """Issue one more certificate,
+    in a folder DIR/NAME that holds what one node needs and nothing else.
+
+    Example: qdgrasp security add security worker lab-7
+    """  # noqa: D205  # typer joins the lines
+    from qdgrasp_tools.security.folder import SecurityFolder
+
+    place = SecurityFolder(directory).add(role, name, hosts=_router_hosts(host), days=days)
+    echo(f"{place} holds a certificate of the {role}, good for {counted(days, 'day')}: copy it to {name}.")
+
+
+@security_app.command()
+def check(
+    security: cli_support.SecurityOption = None,
+    connect: cli_support.ConnectOption = None,
+    through: Annotated[
+        str | None, typer.Option(help="Endpoint of a second router: who hears and answers is its client.")
+    ] = None,
+) -> None:
+    """Prove the access list at a running router: every role tries every verb on every key.
+
+    It takes a quarter of a minute and needs the folder that `qdgrasp security init` wrote, with ca.key: a
+    certificate without a role, an expired one and another authority's are tried too. The job that it plays
+    is called security-check; running jobs do not notice.
+
+    Example: qdgrasp security check --security security --connect tls/head:7447
+    """
+    if security is None:
+        raise SecurityError("Name the folder that `qdgrasp security init` wrote with --security.")
+    from qdgrasp_tools.security.access_report import check_access, matrix_table
+
+    found = check_access(connect or default_endpoint(encrypted=True).text, security, takers_at=through)
+    echo(matrix_table(found.matrix))
+    for fault in found.faults:
+        echo(f"WRONG: {fault}")
+    echo(found.summary)
+    if found.faults:
+        raise typer.Exit(1)
+
+
+def _router_hosts(given: list[str] | None) -> list[str]:
+    """The names of a router: those given, or this machine's, and always those of loopback."""
+    return list(dict.fromkeys([*(given or [socket.gethostname()]), *LOOPBACK]))

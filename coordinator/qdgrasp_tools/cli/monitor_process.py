@@ -1,0 +1,206 @@
+"""`qdgrasp-monitor`: watches running jobs, on a terminal, as JSON, or on a page."""
+
+import json
+import logging
+import time
+from collections.abc import Container, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import structlog
+import typer
+from rich.console import Console
+
+from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.cli_support import echo, run_command
+from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.extras import EXTRAS, check_packages
+from qdgrasp_protocol.process import Stop, configure_logging, lifetime
+from qdgrasp_protocol.session import Credentials, Role
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.cli.job_commands import SESSION_SECONDS, JobDir, JobPlace, open_session
+from qdgrasp_tools.cli.options import host_and_port
+from qdgrasp_tools.monitor.feed import Feed, ObjectFeed, query_jobs
+from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.records import BusRecords
+from qdgrasp_tools.monitor.terminal.keyboard import Keyboard
+from qdgrasp_tools.monitor.terminal.screen import ScreenState, local_time, report_lines, watch_jobs
+from qdgrasp_tools.monitor.terminal.text_tables import glyphs_of
+
+log = structlog.get_logger()
+INTERVAL = 1.0  # seconds between two lines of JSON
+FLAGS = {
+    "once": "--once",
+    "as_json": "--json",
+    "ascii_only": "--ascii",
+    "web": "--web",
+    "token": "--token",
+    "token_file": "--token-file",
+}
+EXCLUSIVE_FLAGS = (
+    ("once", "web"),
+    ("as_json", "web"),
+    ("ascii_only", "web"),
+    ("as_json", "ascii_only"),
+    ("token", "token_file"),
+)
+NEEDED_FLAGS = (("token", "web"), ("token_file", "web"))  # The first flag needs the second
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+@app.command()
+def monitor(
+    context: typer.Context,
+    directory: JobDir = None,
+    connect: cli_support.ConnectOption = None,
+    security: cli_support.SecurityOption = None,
+    job: Annotated[str | None, typer.Option(metavar="NAME", help="Watch this job only.")] = None,
+    once: Annotated[bool, typer.Option("--once", help="Print one look, and end.")] = False,
+    as_json: Annotated[
+        bool,
+        typer.Option("--json", help="Print a JSON object in a line: with --once one, else one a second."),
+    ] = False,
+    ascii_only: Annotated[bool, typer.Option("--ascii", help="Draw with nothing but ASCII.")] = False,
+    web: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Serve a page there, and metrics at /metrics.")
+    ] = None,
+    token: Annotated[
+        str | None,
+        typer.Option(
+            envvar="QDGRASP_TOKEN",
+            help="Token that a browser must show; beyond loopback there always is one, if need be a new one. "
+            "Other users of this machine read it in the list of processes: rather use --token-file.",
+        ),
+    ] = None,
+    token_file: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The same, from the first line of a file.")
+    ] = None,
+    wait: cli_support.WaitOption = SESSION_SECONDS,
+    version: cli_support.VersionOption = False,
+) -> None:
+    """Watch running jobs: how far they are, what they find, who works, and why evaluations fail.
+
+    Nothing is changed or slowed by it. On a terminal: q leaves, tab or a number takes another job; o, r, w
+    and e show all objects, runs, workers and events.
+
+    Example: qdgrasp-monitor --connect tcp/head:7447
+
+    Example: qdgrasp-monitor runs/mugs
+    """
+    check_flags(typed_flags(context))
+    if web is not None:
+        check_packages("--web", *EXTRAS["monitor"])
+    configure_logging("monitor", level=logging.INFO if web else logging.ERROR)
+    place = JobPlace.of(directory, connect, security)
+    endpoint = place.endpoint
+    if place.folder is not None:
+        if job is not None:
+            raise InputError(f"{directory} says which job is meant: leave out --job, or it.")
+        job = place.folder.name
+    if once:
+        with open_session(endpoint, security, Role.MONITOR, wait) as bus:
+            there = query_jobs(bus)
+        found = place.chosen(there.views(time.time()))
+        if not found and place.folder is not None:
+            raise place.folder.no_coordinator()
+        views = chosen_views(found, job)
+        if as_json:
+            echo(to_json(views, endpoint))
+        else:
+            print_look(views, endpoint, there.foreign_jobs, ascii_only=ascii_only)
+        return
+    with lifetime("qdgrasp-monitor") as stop, ExitStack() as stack:
+        credentials = Credentials.find(security, Role.MONITOR)
+        bus = stack.enter_context(ZenohBus.connect(endpoint, wait, stop, credentials))
+        feed = stack.enter_context(Feed(bus, job))
+        if web is not None:
+            serve_page(bus, feed, web, read_token(token_file) if token_file else token or "", stop)
+        elif as_json:
+            stream_looks(feed, endpoint, stop)
+        else:
+            console = Console()
+            objects = ObjectFeed(BusRecords(bus).objects)
+            watch_jobs(feed, objects, endpoint, console, glyphs_of(console, ascii_only=ascii_only), stop)
+    raise typer.Exit(stop.exit_code)
+
+
+def typed_flags(context: typer.Context) -> set[str]:
+    """Return the flags given on the command line, by the names of their parameters."""
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
+
+
+def check_flags(given: Container[str]) -> None:
+    """Check that every flag has an effect; raises InputError for one that has not."""
+    for one, other in EXCLUSIVE_FLAGS:
+        if one in given and other in given:
+            raise InputError(f"{FLAGS[one]} and {FLAGS[other]} do not go together; leave out one of them.")
+    for one, other in NEEDED_FLAGS:
+        if one in given and other not in given:
+            raise InputError(f"{FLAGS[one]} does nothing without {FLAGS[other]}; add it, or leave it out.")
+
+
+def read_token(file: Path) -> str:
+    """Return the first line of a file; raises InputError if it is empty or cannot be read."""
+    try:
+        lines = file.read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no text"
+        raise InputError(f"--token-file {file} cannot be read: {reason}.") from None
+    if not lines or not lines[0].strip():
+        raise InputError(f"--token-file {file} has no token in its first line.")
+    return lines[0].strip()
+
+
+def chosen_views(views: Sequence[JobView], job: str | None) -> Sequence[JobView]:
+    """Return the view of one job, or all views; raises UnknownName if only other jobs are there."""
+    if job and views and job not in [view.job for view in views]:
+        raise UnknownName("job", job, [view.job for view in views])
+    return [view for view in views if job in (None, view.job)]
+
+
+def print_look(
+    views: Sequence[JobView], endpoint: str, foreign_jobs: Sequence[str], *, ascii_only: bool
+) -> None:
+    """Print the state of jobs once."""
+    console = Console(highlight=False)
+    shown = ScreenState(views, endpoint, local_time(), foreign_jobs=foreign_jobs)
+    for line in report_lines(shown, console.width, glyphs_of(console, ascii_only=ascii_only)):
+        console.print(line, soft_wrap=True)
+
+
+def stream_looks(feed: Feed, endpoint: str, stop: Stop) -> None:
+    """Print the state of jobs every second."""
+    keyboard = Keyboard(stop, None)
+    while not stop.is_set:
+        keyboard.wait(INTERVAL)
+        echo(to_json(feed.views(), endpoint))
+
+
+def serve_page(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
+    """Serve the page; its packages are loaded for it alone."""
+    from qdgrasp_tools.monitor.web.routes import live_site
+    from qdgrasp_tools.monitor.web.run_cache import RunCaches
+    from qdgrasp_tools.monitor.web.server import serve as serve_site
+
+    host, port = host_and_port(web)
+    site = live_site(feed, RunCaches(BusRecords(bus)))
+    serve_site(site, host, port, token, stop, lambda address: log.info("the page is open", address=address))
+
+
+def to_json(views: Sequence[JobView], endpoint: str) -> str:
+    """Return jobs as one line of JSON; names are those of the structs (docs/watching.md)."""
+    return json.dumps({"endpoint": endpoint, "jobs": msgspec.to_builtins(views)})
+
+
+def main() -> None:
+    """Entry point of `qdgrasp-monitor`."""
+    run_command(app, "qdgrasp-monitor")
+
+
+if __name__ == "__main__":
+    main()

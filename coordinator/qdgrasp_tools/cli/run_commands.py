@@ -1,0 +1,481 @@
+"""`qdgrasp run`, `resume` and `rerank`: runs that this machine carries out."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+from qdgrasp_assets.geometry.mesh_io import scale_of
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
+from qdgrasp_coordinator.metrics.reference_coverage import object_identity
+from qdgrasp_coordinator.scheduler import run_plan
+from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
+from qdgrasp_coordinator.search.fixed_poses import as_given
+from qdgrasp_coordinator.search.registry import prior_of
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol import cli_support
+from qdgrasp_protocol.cli_support import echo
+from qdgrasp_protocol.engines import DEFAULT_ENGINE
+from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.process import Stop, lifetime
+from qdgrasp_protocol.rows import GIVEN, LIFT, TRIAL_COUNTS, Rows
+from qdgrasp_protocol.spec import (
+    DEFAULT_METHOD,
+    GOAL_KEYS,
+    MAX_POPULATION,
+    OBJECTIVE_KEYS,
+    RunSpec,
+    read_run_spec,
+    run_spec,
+    to_values,
+)
+from qdgrasp_protocol.text import counted
+from qdgrasp_tools.campaign import ranking
+from qdgrasp_tools.campaign.campaign_folder import extend_run
+from qdgrasp_tools.campaign.summary import run_summary
+from qdgrasp_tools.campaign.warm_start import WarmStart
+from qdgrasp_tools.cli import options
+from qdgrasp_tools.local.progress import ProgressDisplay, progress_display, progress_messages
+from qdgrasp_tools.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
+from qdgrasp_tools.report.row_report import synergy_reader
+
+CANDIDATES = 4  # Candidates of a reranking for each of the best that are wanted
+
+
+def run_job(job: JobFolder, config: LocalJobConfig, shown: ProgressDisplay, stop: Stop) -> None:
+    """Carry a job out; an error that ends it early names the command that continues it."""
+    try:
+        Supervisor(job, config, shown, stop).run()
+    except EndedEarly as error:
+        raise EndedEarly(f"{error} {resume_hint(job)}") from None
+
+
+def check_not_stopped(job: JobFolder, stop: Stop) -> None:
+    """Exit if there was a signal, and name the command that continues the job."""
+    if stop.is_set:
+        echo(f"Stopped; {resume_hint(job)}", err=True)
+        raise typer.Exit(stop.exit_code)
+
+
+def resume_hint(job: JobFolder) -> str:
+    """Name the command that continues a job."""
+    return f"`{job.resume_command}` goes on where it stopped."
+
+
+def run(
+    spec: Annotated[
+        Path | None, typer.Argument(metavar="SPEC.toml", help="A spec; flags replace what it says.")
+    ] = None,
+    gripper: options.Gripper = None,
+    object_: options.Object = None,
+    evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
+    workers: options.Workers = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; default runs/<what it is>.")] = None,
+    mass: options.Mass = None,
+    scale: options.Scale = None,
+    units: options.Units = None,
+    friction: options.Friction = None,
+    simplify: options.Simplify = None,
+    remesh: options.Remesh = False,
+    hull: options.Hull = False,
+    glued: options.Glued = False,
+    surface_seed: options.SurfaceSeed = None,
+    method: Annotated[
+        str | None,
+        typer.Option(help=f"Search method; default {DEFAULT_METHOD}.", rich_help_panel=options.SEARCH),
+    ] = None,
+    seed: options.Seed = None,
+    aim_for: options.AimFor = None,
+    diversity: options.Diversity = None,
+    grasps_per_cell: options.GraspsPerCell = None,
+    warm_start: options.WarmStarts = None,
+    overlaps: options.OverlapsMode = None,
+    population: options.Population = None,
+    mutation_sigma: options.MutationSigma = None,
+    mutation_probability: options.MutationProbability = None,
+    generations_in_flight: options.GenerationsInFlight = None,
+    in_flight: options.InFlight = None,
+    protocol: options.ProtocolOption = None,
+    base: options.BaseOption = None,
+    engine: options.EngineOption = None,
+    approach_distance: options.ApproachDistance = None,
+    resting_pose: options.RestingPoseOption = None,
+    trials: options.Trials = None,
+    finalists: options.Finalists = None,
+    successes: options.Successes = None,
+    grasps: options.Grasps = None,
+    no_new_cell: options.NoNewCell = None,
+    saturation: options.Saturation = None,
+    seconds: options.Seconds = None,
+    job: options.Job = None,
+    batch_size: options.BatchSize = None,
+    checked: options.Checked = CHECKED_SHARE,
+    disk_wait: options.DiskWait = 60.0,
+    listen: options.Listen = None,
+    security: cli_support.SecurityOption = None,
+    insecure: cli_support.InsecureOption = False,
+) -> None:
+    """Fill an archive of grasps: a coordinator, a recorder and workers on this machine.
+
+    Example: qdgrasp run --gripper panda --object mug --evaluations 3000
+
+    Example: qdgrasp run --gripper panda --object bowl --warm-start runs/mug
+    """
+    flags = options.given(
+        gripper=gripper,
+        object=object_,
+        mass=mass,
+        scale=scale_of(units, scale),
+        friction=friction,
+        mesh=options.preparation(simplify, remesh, hull, glued),
+        method=method,
+        protocol=protocol,
+        base=base,
+        engine=engine,
+        approach_distance=approach_distance,
+        resting_pose=options.resting_pose(resting_pose),
+        trials=trials,
+        finalists=finalists,
+        aim_for=aim_for,
+        diversity=diversity,
+        grasps_per_cell=grasps_per_cell,
+        evaluations=evaluations,
+        successes=successes,
+        grasps=grasps,
+        no_new_cell=no_new_cell,
+        saturation=saturation,
+        seed=seed,
+        overlaps=overlaps,
+        population=population,
+        mutation_sigma=mutation_sigma,
+        mutation_probability=mutation_probability,
+        generations_in_flight=generations_in_flight,
+        in_flight=in_flight,
+        surface_seed=surface_seed,
+    )
+    values = read_run_spec(spec) if spec else {}
+    if "cross" in values:
+        raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
+    usual = {"trials": "sequential"} if not spec and aim_for == "eta" and protocol == "robust" else {}
+    asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | usual | values | flags, str(spec) if spec else "run")
+    listening = ListenConfig(listen, security, insecure)
+    config = LocalJobConfig(
+        options.worker_count(workers, asked.engine), batch_size, listening, disk_wait, seconds, checked
+    )
+    place = out or Path("runs") / run_plan.default_run_name(asked)
+    if not warm_start:
+        start_run(asked, place, config, job)
+        return
+    RunFolder.check_free(place)
+    learned = WarmStart.learned(asked, [RunFolder.open(folder) for folder in warm_start])
+    start_run(
+        msgspec.structs.replace(asked, first_weights=learned.weights), place, config, job, learned.write
+    )
+
+
+def start_run(
+    spec: RunSpec,
+    out: Path,
+    config: LocalJobConfig,
+    job: str | None = None,
+    begun: Callable[[RunFolder], None] = lambda _folder: None,
+) -> None:
+    """Begin a run in a new folder and carry it out; `begun` is called in between."""
+    RunFolder.check_free(out)
+    config.check_engines([spec])
+    echo(f"building the scene of {spec.gripper} and {spec.object}", err=True)
+    with progress_messages() as tell:
+        bundle = run_plan.prepare_scene(spec, tell=tell).bundle
+    with progress_display(out.name, spec.evaluations) as shown, lifetime("qdgrasp run") as stop:
+        folder = RunFolder.create(out, spec, bundle, job=job)
+        begun(folder)
+        run_job(folder.job, config, shown, stop)
+    print_result(folder, stop, is_timed=config.seconds is not None)
+
+
+def print_result(folder: RunFolder, stop: Stop, *, is_timed: bool = False) -> None:
+    """Print the run's figures; exit if there was a signal, or the run is not finished.
+
+    `is_timed`: the run was to end after some seconds, so that this is no failure.
+    """
+    check_not_stopped(folder.job, stop)
+    found = run_summary(folder)
+    echo(found.words)
+    if not found.complete:
+        echo(f"It is not finished; {resume_hint(folder.job)}")
+        if not is_timed:
+            raise typer.Exit(EndedEarly.exit_code)
+    elif found.evaluations < found.budget:
+        echo(f"It ended early: {found.ended}.")
+    echo_errors(found.errors, str(folder.path))
+    write_ranking_of(folder)
+
+
+def echo_errors(errors: int, path: str) -> None:
+    """Say on how many rows the simulator failed, if there are any."""
+    if errors:
+        echo(
+            f"The simulator failed on {counted(errors, 'row')}, and their grasps are missing; "
+            f"`qdgrasp verify {path}` tries some of them again, --all all."
+        )
+
+
+def write_ranking_of(folder: RunFolder) -> None:
+    """Rank the grasps of a complete run that has scored them again."""
+    if ranking.is_reranking(folder):
+        echo(ranking.write_ranking(folder))
+
+
+def resume(
+    directory: options.RunDir,
+    evaluations: Annotated[
+        int | None, typer.Option(help="The new total of counted evaluations; default: the spec's.")
+    ] = None,
+    successes: options.Successes = None,
+    grasps: options.Grasps = None,
+    no_new_cell: options.NoNewCell = None,
+    saturation: options.Saturation = None,
+    seconds: options.Seconds = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    checked: options.Checked = CHECKED_SHARE,
+    listen: options.Listen = None,
+    security: cli_support.SecurityOption = None,
+    insecure: cli_support.InsecureOption = False,
+    disk_wait: options.DiskWait = 60.0,
+) -> None:
+    """Go on with a run where its journal ends; --evaluations extends a finished one.
+
+    So do --successes, --grasps, --no-new-cell and --saturation where a run ended with these.
+
+    Example: qdgrasp resume runs/panda-mug-aimed-s0 --evaluations 20000
+    """
+    folder = RunFolder.open(directory)
+    if folder.job.is_campaign:
+        raise FolderError(
+            f"{folder.path} is a run of a campaign: `qdgrasp campaign {folder.job.path}` goes on with it."
+        )
+    folder.job.check_not_in_use()
+    with folder.journal() as journal:
+        journal.check_whole()
+    if goals := options.given(
+        evaluations=evaluations,
+        successes=successes,
+        grasps=grasps,
+        no_new_cell=no_new_cell,
+        saturation=saturation,
+    ):
+        extend_run(folder, **goals)
+    found = run_summary(folder)
+    if found.complete:
+        echo(f"{directory} is finished: {found.words}")
+        write_ranking_of(folder)
+        return
+    listening = ListenConfig(listen, security, insecure)
+    count = options.worker_count(workers, folder.spec.engine)
+    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds, checked)
+    config.check_engines([folder.spec])
+    with (
+        lifetime("qdgrasp resume") as stop,
+        progress_display(directory.name, folder.spec.evaluations) as shown,
+    ):
+        shown.say(f"going on after {counted(found.evaluations, 'evaluation')}")
+        run_job(folder.job, config, shown, stop)
+    print_result(folder, stop, is_timed=seconds is not None)
+
+
+def rerank(
+    directory: options.RunDir,
+    protocol: Annotated[str, typer.Option(help="Evaluation protocol with trials.")] = "robust",
+    base: Annotated[
+        str | None,
+        typer.Option(help="Protocol of each trial: paper or physical; default: as in the run."),
+    ] = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            "--engine",
+            "--engines",
+            help="Physics engine: bullet, mujoco, mujoco-warp, or two, as in bullet,mujoco; default: as in "
+            "the run.",
+        ),
+    ] = None,
+    top: Annotated[
+        int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
+    ] = 100,
+    trials: Annotated[
+        str | None,
+        typer.Option(
+            help="sequential: ten trials of each candidate, and more of those that may be among the best; "
+            "all: 100 of the best by fitness; default sequential."
+        ),
+    ] = None,
+    candidates: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=MAX_POPULATION,
+            metavar="N",
+            help="With sequential trials: of how many grasps the best are sought; default 4 x top.",
+        ),
+    ] = None,
+    by_niche: Annotated[
+        bool | None,
+        typer.Option(
+            "--niches/--cells",
+            help="Take the best of each niche, cell, orientation and synergy, or cell; default: as searched.",
+        ),
+    ] = None,
+    max_penetration: options.MaxPenetration = None,
+    max_motion: options.MaxMotion = None,
+    min_margin: options.MinMargin = None,
+    min_links: options.MinLinks = None,
+    discard_table: Annotated[
+        bool, typer.Option("--discard-table", help="Leave out hands that cut a table under the object.")
+    ] = False,
+    object_pose: Annotated[
+        str | None,
+        typer.Option(
+            help="How the object stands on it: quaternion x,y,z,w or angles x,y,z [deg]; default: z up."
+        ),
+    ] = None,
+    approach_distance: options.ApproachDistance = None,
+    resting_pose: options.RestingPoseOption = None,
+    workers: options.Workers = None,
+    batch_size: options.BatchSize = None,
+    listen: options.Listen = None,
+    security: cli_support.SecurityOption = None,
+    insecure: cli_support.InsecureOption = False,
+    job: options.Job = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder; default runs/<name of the run>-<protocol>.")
+    ] = None,
+    disk_wait: options.DiskWait = 60.0,
+) -> None:
+    """Score the best grasps of a run again, in many disturbed trials each, and rank them by eta.
+
+    Taken is the best grasp of each cell or niche, and of these the best ones as candidates; those that may be
+    among the --top best have a hundred trials. The folder is that of a run:
+    `qdgrasp resume` goes on with it, and workers may join. ranking.csv in it holds every grasp by eta.
+
+    With two engines a trial is passed that holds in both.
+
+    Example: qdgrasp rerank runs/demo --top 50 --discard-table --object-pose 90,0,0
+
+    Example: qdgrasp rerank runs/demo --engines bullet,mujoco --base physical
+    """
+    if protocol not in TRIAL_COUNTS:
+        raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)
+    most = _candidate_count(top, trials, candidates)
+    if object_pose is not None and not discard_table:
+        raise InputError("--object-pose says how the object stands on a table: add --discard-table.")
+    source = RunFolder.open(directory)
+    folder = out or Path("runs") / f"{source.path.absolute().name}-{protocol}"
+    RunFolder.check_free(folder)
+    limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
+    found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
+    ways = options.given(approach_distance=approach_distance, resting_pose=options.resting_pose(resting_pose))
+    if ways:
+        found = ranking.reachable_grasps(source, found, **ways)
+    kinds = ranking.kinds_of_run(source.spec, found, synergy_reader(source), by_niche)
+    chosen = ranking.best_of_kinds(found, most, source.scene().object, kinds)
+    race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
+    spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race, **ways)
+    listening = ListenConfig(listen, security, insecure)
+    count = options.worker_count(workers, spec.engine)
+    config = LocalJobConfig(count, batch_size, listening, disk_wait)
+    config.check_engines([spec])
+    with progress_display(folder.name, spec.evaluations) as shown:
+        shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")
+        scene, bundle = run_plan.prepare_scene(spec)
+        _check_same(source.scene(), scene)
+        with lifetime("qdgrasp rerank") as stop:
+            noted = ranking.source_file(source, chosen)
+            begun = RunFolder.create(folder, spec, bundle, job=job, more=noted)
+            run_job(begun.job, config, shown, stop)
+    print_result(begun, stop)
+
+
+def _candidate_count(top: int, trials: str | None, candidates: int | None) -> int:
+    """Return how many grasps are scored, so that the best `top` are found."""
+    if trials == "all":
+        if candidates is not None:
+            raise InputError(
+                "--candidates is for sequential trials, and with --trials all the best by fitness have all "
+                "trials: leave it out, or say with --top how many."
+            )
+        return top
+    if candidates is not None and candidates < top:
+        raise ImpossibleValue("--candidates", candidates, f"at least {top}, as --top says")
+    return candidates or min(CANDIDATES * top, MAX_POPULATION)
+
+
+def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) -> Rows:
+    """The grasps of a run within limits, clear of a table if the object stands on one."""
+    found = ranking.read_run_grasps(source)
+    if not len(found):
+        raise InputError(f"{source.path} has found no grasp (fitness 1 or more) that could be scored again.")
+    every, found = found, found[limits.admitted(found, source.scene())]
+    if not len(found):
+        reason = limits.reason(every, source.scene())
+        raise InputError(f"{source.path} has no grasp within these limits: {reason}.")
+    if object_pose is not None:
+        from qdgrasp_tools.rendering.hand_geometry import (  # scipy takes its time
+            orientation,
+            table_under,
+        )
+
+        scene = source.scene()
+        table = table_under(scene, orientation(object_pose))
+        found = found[table.is_clear_of(scene, prior_of(source.spec), found)]
+    if not len(found):
+        raise InputError(
+            f"Every grasp in {source.path} would cut the table; turn the object with --object-pose."
+        )
+    return found
+
+
+def rerank_spec(
+    source: RunFolder, chosen: Rows, base: str | None, engine: str | None = None, **asked: Any
+) -> RunSpec:
+    """The spec of a run that scores grasps of another.
+
+    Its base and engine are those of the run unless given.
+    """
+    genomes = as_given(source.scene(), prior_of(source.spec), chosen)
+    poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
+    disturbed = base or ("physical" if source.spec.nominal_protocol in ("physical", LIFT) else "paper")
+    values = to_values(source.spec) | {
+        "method": GIVEN,
+        "base": disturbed,
+        "engine": engine or source.spec.engine or DEFAULT_ENGINE,
+        "evaluations": len(poses),
+        "population": len(poses),
+        "generations_in_flight": 1,
+        "overlaps": "count",
+        "poses": poses,
+    }
+    return run_spec({key: value for key, value in values.items() if key not in OF_A_SEARCH} | asked, "rerank")
+
+
+OF_A_SEARCH = (*OBJECTIVE_KEYS, "in_flight", "first_weights", "trials", "finalists", *GOAL_KEYS)
+"""Keys of a run that do not go over to the run that scores its grasps again."""
+OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
+"""Values of a hand that differ between protocols, or that scenes of version 0.1.0 lack."""
+
+
+def _check_same(old: Scene, new: Scene) -> None:
+    """Check that two scenes have the same hand and object, so that poses keep their meaning."""
+    others = dict.fromkeys(OF_A_PROTOCOL)
+    hands = [msgspec.structs.asdict(scene.gripper) | others for scene in (old, new)]
+    for hand, scene in zip(hands, (old, new), strict=True):
+        hand["joints"] = [(each.name, each.opened, each.closed, each.driven) for each in scene.gripper.joints]
+    if object_identity(old.object) != object_identity(new.object) or hands[0] != hands[1]:
+        raise InputError(
+            f"'{new.gripper.name}' or '{new.object.name}' is not what it was when the run was made, so that "
+            "its poses mean something else; restore their files."
+        )

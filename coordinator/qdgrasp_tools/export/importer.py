@@ -1,0 +1,355 @@
+"""Imports a file of grasps as poses that can be evaluated with a hand and an object at hand.
+
+The first bytes of a file tell its format. Of hands and objects only what poses depend on is made: no convex
+parts, no mass.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.asset_paths import named_path
+from qdgrasp_assets.catalog import check_object, find_gripper, find_object, object_names
+from qdgrasp_assets.geometry.rotation import Floats, conjugate
+from qdgrasp_assets.object_model import read_solid
+from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_coordinator.metrics.arrays import bounded_memory
+from qdgrasp_coordinator.storage.outputs import OutFile
+from qdgrasp_protocol.extras import check_packages
+from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.text import first_few
+from qdgrasp_tools.export import acronym, graspgen, isaac_moveit, tabular
+from qdgrasp_tools.export.dataset_card import INDEX_CSV, INDEX_PARQUET, read_index
+from qdgrasp_tools.export.frames import COM, MESH, Frame, change_frame, jaw_turn, turn_hand_axes
+from qdgrasp_tools.export.imported_grasps import (
+    LONGEST,
+    ImportedGrasps,
+    UnreadableGrasps,
+    check_grasps,
+    check_positions,
+    decode_json,
+    decode_metadata,
+)
+from qdgrasp_tools.export.metadata import GraspMetadata, part_digest
+
+
+@dataclass(frozen=True)
+class ObjectFrame:
+    """The object that grasps are evaluated on."""
+
+    com_in_mesh: Floats
+    """(3,) [m]: the centre of mass in the frame of the mesh, as scaled."""
+    scale: float
+    """Factor of the lengths in its mesh file, to metres."""
+    extents: Floats | None = None
+    """(3,) [m]: sides of its bounding box; None: unknown."""
+
+
+def hand_named(name: str) -> SceneGripper:
+    """Find a gripper by its name in the catalog, or by its TOML file."""
+    return find_gripper(name).on_carrier("paper")
+
+
+def object_frame(name: str, scale: float | None = None) -> ObjectFrame:
+    """Find an object by its name in the catalog, or by its mesh file."""
+    check_object(name)
+    if name in object_names():
+        found = find_object(RunSpec(gripper="", object=name, scale=scale))
+        com, mesh = found.com_in_mesh, found.mesh
+    else:
+        mesh = read_solid(named_path(name), scale)
+        com = mesh.centre_of_mass
+    return ObjectFrame(np.array(com), 1.0 if scale is None else scale, mesh.extents)
+
+
+KNOWN_FORMATS = (
+    "ACRONYM (HDF5 or JSON), GraspGen JSON, Isaac Grasp YAML, and Parquet that `qdgrasp export` wrote"
+)
+LARGEST_FILE = 1 << 32  # Bytes of a file that is read
+LARGEST_JSON = 1 << 29  # The same of JSON, which takes more room in memory than on the disk
+HEAD_BYTES = 4096
+
+
+class ImportFormat(NamedTuple):
+    """One format of files of grasps."""
+
+    fits: Callable[[bytes], bool]
+    """Returns True for the first bytes of a file of this format."""
+    read: Callable[[Path], ImportedGrasps]
+    packages: tuple[str, ...] = ()
+    """Packages of extras that read it."""
+
+
+def read_grasp_file(path: Path) -> ImportedGrasps:
+    """Read and check the grasps in a file of any known format."""
+    head = _read_head(path)
+    for reader in READERS:
+        if reader.fits(head):
+            check_packages(str(path), *reader.packages)
+            try:
+                with bounded_memory(path):
+                    imported = reader.read(path)
+                check_grasps(path, imported)
+            except MemoryError:
+                raise UnreadableGrasps(path, "there is not enough memory for it") from None
+            return imported
+    raise UnreadableGrasps(path, f"it is of none of the formats that are read: {KNOWN_FORMATS}")
+
+
+def read_dataset(folder: Path, gripper: str, object_: str) -> ImportedGrasps:
+    """Read and check the grasps of a hand on an object in a data set of Parquet.
+
+    `gripper` and `object_` are as its index has them. Raises UnreadableGrasps.
+    """
+    check_packages(f"The data set {folder}", "pyarrow")
+    import pyarrow as pa
+
+    try:
+        with bounded_memory(folder):
+            imported = _dataset_grasps(folder, gripper, object_)
+    except MemoryError:
+        raise UnreadableGrasps(folder, "there is not enough memory for it") from None
+    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        raise UnreadableGrasps(folder, f"it is no data set of Parquet, or damaged ({error})") from None
+    check_grasps(folder, imported)
+    return imported
+
+
+def _dataset_grasps(folder: Path, gripper: str, object_: str) -> ImportedGrasps:
+    found = [
+        line
+        for line in read_index(folder)
+        if line["gripper"] == gripper and line["object"] == object_ and line["rows"]
+    ]
+    if not found:
+        reason = f"its {INDEX_CSV} has no grasp of gripper '{gripper}' on object '{object_}'"
+        raise UnreadableGrasps(folder, reason)
+    told = [decode_metadata(folder, line["about"]) for line in found]
+    if len({each.object_sha256 for each in told}) > 1:
+        raise UnreadableGrasps(folder, f"it has different objects that are called '{object_}'")
+    runs = tuple(run for each in told for run in each.runs)
+    files = dict.fromkeys(name for line in found for name in line["files"])
+    metadata = msgspec.structs.replace(told[0], runs=runs)
+    return tabular.read_shards(folder, files, gripper, object_, metadata)
+
+
+def _read_head(path: Path) -> bytes:
+    """Read the first bytes of a file, if it is one that may be read."""
+    try:
+        if (path / INDEX_PARQUET).is_file():
+            raise UnreadableGrasps(path, "it is a data set of many objects; name one of them with --of")
+        if path.is_dir():
+            raise UnreadableGrasps(
+                path, f"it is a folder; of one that is for GraspGen name the JSON in {graspgen.DATA}"
+            )
+        if path.exists() and not path.is_file():
+            raise UnreadableGrasps(path, "it is no ordinary file")
+        with path.open("rb") as file:
+            head = file.read(HEAD_BYTES)
+        size = path.stat().st_size
+    except OSError as error:
+        raise UnreadableGrasps(path, (error.strerror or str(error)).lower()) from None
+    if not head.strip():
+        raise UnreadableGrasps(path, "it is empty")
+    if size > LARGEST_FILE:
+        raise UnreadableGrasps(path, f"it is larger than {LARGEST_FILE >> 30} GiB")
+    return head
+
+
+class JsonKeys(msgspec.Struct):
+    """The key by which formats of JSON are told apart."""
+
+    grasps: msgspec.Raw = msgspec.Raw(b"")
+
+
+def _read_json(path: Path) -> ImportedGrasps:
+    if path.stat().st_size > LARGEST_JSON:
+        raise UnreadableGrasps(path, f"it is JSON, and larger than {LARGEST_JSON >> 20} MiB")
+    payload = path.read_bytes()
+    is_nested = bool(bytes(decode_json(path, payload, JsonKeys).grasps))
+    return graspgen.read(path, payload) if is_nested else acronym.read_json(path, payload)
+
+
+def _refuse_csv(path: Path) -> ImportedGrasps:
+    reason = "it is CSV of `qdgrasp export`, which is not read back; export parquet instead"
+    raise UnreadableGrasps(path, reason)
+
+
+READERS = (
+    ImportFormat(lambda head: head.startswith(b"# qdgrasp: "), _refuse_csv),
+    ImportFormat(lambda head: head.startswith(b"\x89HDF\r\n\x1a\n"), acronym.read, ("h5py",)),
+    ImportFormat(lambda head: head.startswith(tabular.MAGIC), tabular.read_parquet, ("pyarrow",)),
+    ImportFormat(lambda head: head.lstrip().startswith(b"{"), _read_json),
+    ImportFormat(lambda head: b"\0" not in head, isaac_moveit.read_isaac),
+)
+POSE_TOLERANCE = 1e-9  # Two lengths that differ by less are the same [m]
+VALUE_TOLERANCE = 1e-6  # Two scales that differ by a smaller share are the same
+SAME_OBJECT = 0.02
+"""Difference of sides and centre of mass, as a share of the largest side, up to which two objects are one.
+
+Remeshing moves surfaces by 0.26 % of it (docs/objects.md).
+"""
+MOST_SHOWN = 5  # Names in a note, at most
+
+
+@dataclass(frozen=True)
+class ImportedPoses:
+    """Poses of a hand's root link, CoM frame of the object, as `qdgrasp evaluate` takes them."""
+
+    arrays: dict[str, NDArray[np.generic]]
+    """By name, as in an npz file of poses; beside them the file's `name` and `confidence`."""
+    notes: tuple[str, ...]
+    """Differences from what the file says, a sentence each."""
+    mismatches: tuple[str, ...]
+    """Reasons why the file is of another hand or object, a sentence each; known of files of ours alone."""
+    imported: ImportedGrasps
+    """The grasps as the file gives them."""
+
+    def __len__(self) -> int:
+        return len(self.arrays["name"])
+
+    def write(self, out: OutFile) -> None:
+        """Write the poses as an npz file."""
+        with out.writing() as made, made.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **self.arrays)
+
+
+def import_poses(
+    path: Path, hand: SceneGripper, body: ObjectFrame, frame: Frame | None = None, of: str = ""
+) -> ImportedPoses:
+    """Read the grasps in a file as poses of a hand on an object.
+
+    Of a data set those of its object `of`. `frame` is that of the object in which the file gives poses; None:
+    as it says, or that of the mesh. Raises UnreadableGrasps if the file cannot be read, says that poses are
+    in another frame, or names synergies that the hand does not have.
+    """
+    if of and path.is_file():
+        raise UnreadableGrasps(path, "--of names an object of a data set's folder, and this is a file")
+    imported = read_dataset(path, hand.name, of) if of and path.is_dir() else read_grasp_file(path)
+    metadata = imported.metadata
+    if metadata and frame not in (None, metadata.frame):
+        reason = f"it says that its poses are told in the object's {metadata.frame} frame; leave --frame out"
+        raise UnreadableGrasps(path, reason)
+    poses = _root_poses(imported, hand, body, frame)
+    check_positions(path, imported.names, poses)
+    unknown = np.full(len(imported), np.nan)  # the open posture
+    free = [imported.start_positions.get(joint.name, unknown) for joint in hand.free_joints]
+    arrays: dict[str, NDArray[np.generic]] = {
+        "base_position": poses[:, :3].astype(np.float32),
+        "base_quaternion_xyzw": poses[:, 3:].astype(np.float32),
+        "synergy": _synergy_labels(path, imported, hand),
+        "spread": np.stack(free, axis=1) if free else np.zeros((len(imported), 0)),
+        "name": imported.names,
+        "confidence": np.full(len(imported), np.nan) if imported.confidence is None else imported.confidence,
+    }
+    notes, mismatches = list(_notes(imported, hand, body)), list[str]()
+    if metadata:
+        mismatches += _object_mismatches(metadata, body)
+        notes += () if mismatches else _changed_mesh(metadata, body)
+    if other := _other_hand(imported, hand):
+        here = f"link '{hand.base_link}' of gripper '{hand.name}'"
+        if metadata:
+            mismatches.insert(0, f"{other}, not of {here}.")
+        else:
+            notes.insert(0, f"{other}; they are taken for those of {here}.")
+    return ImportedPoses(arrays, tuple(notes), tuple(mismatches), imported)
+
+
+def _root_poses(
+    imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame, frame: Frame | None
+) -> Floats:
+    """Return the poses (n, 7) of the root link, in the centre-of-mass frame."""
+    poses = imported.poses
+    if imported.has_jaw_axes:
+        poses = turn_hand_axes(poses, conjugate(jaw_turn(hand)[None])[0])
+    source = imported.frame or frame or MESH
+    known = np.array(imported.metadata.com_in_mesh) if imported.metadata else body.com_in_mesh
+    if source == COM and np.abs(known - body.com_in_mesh).max() < POSE_TOLERANCE:
+        return poses
+    return change_frame(change_frame(poses, known, source, MESH), body.com_in_mesh, MESH, COM)
+
+
+def _synergy_labels(path: Path, imported: ImportedGrasps, hand: SceneGripper) -> NDArray[np.int64]:
+    """Return the label (n,) of each synergy; without one all driven joints close."""
+    names = [synergy.name for synergy in hand.synergies]
+    if imported.synergies is None:
+        return np.full(len(imported), NO_SYNERGY)
+    labels = {name: label for label, name in enumerate(names)} | {"": NO_SYNERGY}
+    for name in np.unique(imported.synergies).tolist():
+        if name not in labels:
+            known = ", ".join(names) or "none"
+            raise UnreadableGrasps(path, f"it names synergy '{name}'; the gripper '{hand.name}' has {known}")
+    return np.array([labels[name] for name in imported.synergies.tolist()], dtype=np.int64)
+
+
+def _notes(imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame) -> Iterator[str]:
+    is_built_in = imported.metadata is not None and not imported.metadata.object_file
+    scale = imported.scale
+    if scale is not None and abs(scale / body.scale - 1) > VALUE_TOLERANCE and not is_built_in:
+        yield (
+            f"The file scales its mesh by {scale:.16g}, and here it is scaled by {body.scale:.16g}: if "
+            f"it is the same mesh, add --scale {scale:.16g}."
+        )
+    known = {joint.name for joint in hand.joints}
+    if unknown := [
+        name for name in dict.fromkeys((*imported.start_positions, *imported.joints)) if name not in known
+    ]:
+        some = first_few(unknown, MOST_SHOWN)
+        yield f"The file names joints that gripper '{hand.name}' does not have: {some}; they are left aside."
+
+
+def _changed_mesh(metadata: GraspMetadata, body: ObjectFrame) -> Iterator[str]:
+    """Yield a sentence if the same object has its centre of mass elsewhere."""
+    if (shift := _com_shift(metadata, body)) >= POSE_TOLERANCE:
+        yield (
+            f"The object '{metadata.object[:LONGEST]}' of the file has its centre of mass elsewhere in its "
+            f"mesh, by {1000 * shift:.2g} mm: its mesh was changed, as --simplify does."
+        )
+
+
+def _other_hand(imported: ImportedGrasps, hand: SceneGripper) -> str:
+    """Return the beginning of a sentence on a file of another hand; empty: it is of this one."""
+    if imported.gripper in (None, hand.name) and imported.link in (None, hand.base_link):
+        return ""
+    link = "" if imported.link is None else f" of link '{imported.link[:LONGEST]}'"
+    owner = "" if imported.gripper is None else f" of gripper '{imported.gripper[:LONGEST]}'"
+    return f"The file tells poses{link}{owner}"
+
+
+def _com_shift(metadata: GraspMetadata, body: ObjectFrame) -> float:
+    """Return how far the centre of mass of a file's object is from that of another one [m]."""
+    return float(np.abs(np.array(metadata.com_in_mesh) - body.com_in_mesh).max())
+
+
+def _object_mismatches(metadata: GraspMetadata, body: ObjectFrame) -> Iterator[str]:
+    """Yield in which ways a file is of another object, by its size and centre of mass."""
+    name, size = metadata.object[:LONGEST], metadata.object_size
+    sides = body.extents if body.extents is not None else size
+    largest = float(np.max(sides)) if sides is not None else 0.0
+    if size and body.extents is not None and np.abs(body.extents - size).max() > SAME_OBJECT * largest:
+        here, there = (" x ".join(f"{side:.4f}" for side in each) for each in (body.extents, size))
+        yield f"The object '{name}' of the file is {there} m large, and the one named here {here} m."
+    if _com_shift(metadata, body) > max(SAME_OBJECT * largest, POSE_TOLERANCE):
+        yield (
+            f"The object '{name}' of the file has its centre of mass elsewhere in its mesh, "
+            "so it is not the same object."
+        )
+
+
+def hand_notes(name: str, metadata: GraspMetadata | None) -> Iterator[str]:
+    """Yield a sentence if a hand has changed since a file of ours was written."""
+    if not (metadata and metadata.gripper_sha256 and metadata.runs):
+        return
+    gripper = find_gripper(name)
+    hand = gripper.on_carrier(metadata.runs[0].asked.nominal_protocol)
+    if hand.name == metadata.gripper and part_digest(hand) != metadata.gripper_sha256:
+        yield (
+            f"The gripper '{hand.name}' is not what it was when the file was written by version "
+            f"{metadata.qdgrasp[:LONGEST]}: joints, shapes or words about it have changed."
+        )

@@ -1,0 +1,222 @@
+"""Feed of the jobs on a bus: reads messages into the models, and queries what is missing.
+
+Messages wait in ring buffers until a thread takes them: however slow a monitor is, and though it be stopped,
+no other process waits for it. Another thread sends the queries: a missing answer delays nothing.
+`query_jobs` queries once, for commands that print and end.
+"""
+
+import re
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from datetime import datetime, timedelta
+from queue import SimpleQueue
+from typing import Self
+
+import structlog
+
+from qdgrasp_coordinator.metrics.job_status import JobStatus, ObjectListing, ObjectListings
+from qdgrasp_protocol.bus import Bus, RingBuffer
+from qdgrasp_protocol.errors import BusError, MessageError
+from qdgrasp_protocol.keys import AnyJob, Keys
+from qdgrasp_protocol.text import counted, first_few
+from qdgrasp_tools.campaign.object_table import count_states, with_events
+from qdgrasp_tools.monitor.job_model import JobModels
+from qdgrasp_tools.monitor.job_view import JobView
+
+log = structlog.get_logger()
+
+INTERVAL = 0.1  # seconds between two readings of the rings
+ANSWER_SECONDS = 1.0  # seconds that coordinators may take to answer
+OVERVIEW_SECONDS = 2.0  # seconds that they may take where commands print and end
+OBJECTS_SECONDS = 5.0  # seconds between two readings of a job's objects
+SHOWN = 6  # The most runs and hosts that are named of each job
+SUBSCRIBED_KEYS: dict[str, int] = {
+    "meta": 64,
+    "stat/job": 256,
+    "stat/run/*": 2048,
+    "stat/team/*": 512,
+    "event/*": 512,
+}
+"""Subscribed keys below a job's, with the capacity of their rings; `meta` comes first."""
+
+Change = Callable[[JobModels, float], None]
+
+
+class Feed:
+    """The jobs on a bus, or one of them, kept up to date while its context lasts.
+
+    `bus` is an open session of a monitor, to be closed by its owner after the feed.
+    """
+
+    def __init__(self, bus: Bus, job: str | None = None) -> None:
+        self._bus = bus
+        self._keys = Keys(job) if job else AnyJob()
+        self._jobs = JobModels(self._keys)
+        self._changes: SimpleQueue[Change] = SimpleQueue()
+        self._queries: SimpleQueue[list[str]] = SimpleQueue()
+        self._changed = threading.Condition()  # held while the jobs are read or changed
+        self._version = 0
+        self._is_over = threading.Event()
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        enter, put = self._stack.enter_context, self._changes.put
+        rings = [enter(self._bus.ring(f"{self._keys.root}/{key}", n)) for key, n in SUBSCRIBED_KEYS.items()]
+        enter(self._bus.on_link(lambda up: put(lambda jobs, now: jobs.link_changed(up, now))))
+        token = self._keys.coordinator_token()
+        enter(self._bus.watch(
+            token, lambda key, alive: put(lambda jobs, now: jobs.coordinator_changed(key, alive, now))
+        ))  # fmt: skip
+        for work in (lambda: self._read(rings), self._query):
+            thread = threading.Thread(target=work, name="feed", daemon=True)
+            thread.start()
+            self._stack.callback(thread.join)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._queries.put([])
+        self._stack.close()
+
+    def views(self) -> list[JobView]:
+        """Return the jobs as they are now, by their names; safe in any thread."""
+        with self._changed:
+            return self._jobs.views(time.time())
+
+    @property
+    def is_linked(self) -> bool:
+        """False while the router cannot be reached."""
+        return self._jobs.is_linked
+
+    @property
+    def foreign_jobs(self) -> list[str]:
+        """Jobs whose messages cannot be read: their coordinators are of another version of qdgrasp."""
+        with self._changed:
+            return self._jobs.foreign_jobs
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for a message, for so many seconds at most; False where none came."""
+        with self._changed:
+            version = self._version
+            return self._changed.wait_for(lambda: self._version != version, timeout)
+
+    def _read(self, rings: list[RingBuffer]) -> None:
+        """Thread: read messages into the models, and hand due queries to the other thread."""
+        while not self._is_over.wait(INTERVAL):
+            changes = [self._changes.get() for _ in range(self._changes.qsize())]
+            samples = [sample for ring in rings for sample in ring.take()]
+            with self._changed:
+                now = time.time()
+                for change in changes:
+                    change(self._jobs, now)
+                for sample in samples:
+                    self._jobs.receive(sample.key, sample.payload, now)
+                if queries := self._jobs.due_queries(now):
+                    self._queries.put(queries)
+                if changes or samples:
+                    self._notify()
+
+    def _query(self) -> None:
+        """Thread: send queries, and read the answers into the models."""
+        while not self._is_over.is_set():
+            values: dict[str, bytes] = {}
+            for pattern in self._queries.get():
+                values |= {} if self._is_over.is_set() else self._answers(pattern)
+            with self._changed:
+                self._jobs.receive_answers(values, time.time())
+                self._notify()
+
+    def _answers(self, pattern: str) -> dict[str, bytes]:
+        try:
+            return self._bus.ask_all(pattern, timeout=ANSWER_SECONDS)
+        except BusError as error:
+            log.warning("nothing can be asked", reason=str(error))
+            return {}
+
+    def _notify(self) -> None:
+        self._version += 1
+        self._changed.notify_all()
+
+
+class ObjectFeed:
+    """The objects of jobs, read in a thread while they are asked for; no caller waits.
+
+    `read` returns the objects of a job; it may take long, and raises as `Records.objects`.
+    """
+
+    def __init__(self, read: Callable[[str], ObjectListings]) -> None:
+        self._read = read
+        self._known: dict[str, Sequence[ObjectListing]] = {}
+        self._due: dict[str, float] = {}
+        self._thread: threading.Thread | None = None
+
+    def objects(self, view: JobView) -> Sequence[ObjectListing] | None:
+        """Return a job's objects as they were read last, with its events; None: not read yet."""
+        now = time.monotonic()
+        if now >= self._due.get(view.job, 0.0) and not (self._thread and self._thread.is_alive()):
+            self._due[view.job] = now + OBJECTS_SECONDS
+            self._thread = threading.Thread(target=self._update, args=[view.job], name="objects", daemon=True)
+            self._thread.start()
+        known = self._known.get(view.job)
+        return None if known is None else with_events(known, view.events, view.figures.building)
+
+    def _update(self, job: str) -> None:
+        with suppress(BusError, MessageError):  # those read before stay
+            self._known[job] = self._read(job).objects
+
+
+def query_jobs(bus: Bus) -> JobModels:
+    """Return the jobs whose coordinators answer now."""
+    jobs = JobModels()
+    queries = jobs.due_queries(time.time())
+    with ThreadPoolExecutor(len(queries)) as pool:  # a missing answer is waited for once
+        answers = list(pool.map(lambda query: bus.ask_all(query, timeout=OVERVIEW_SECONDS), queries))
+    jobs.receive_answers({key: value for values in answers for key, value in values.items()}, time.time())
+    return jobs
+
+
+def reachable_jobs(bus: Bus) -> list[JobView]:
+    """Return the jobs whose coordinators answer now, by name."""
+    return query_jobs(bus).views(time.time())
+
+
+def summary_lines(view: JobView, now: datetime, objects: Sequence[ObjectListing] = ()) -> Iterator[str]:
+    """Yield a few lines about a job for a person; `now` is a time with its zone."""
+    meta, figures = view.meta, view.figures
+    age = timedelta(seconds=max(0, round((now - meta.since).total_seconds())))
+    uptime = re.sub(" days?,", " d", str(age))  # 0:03:20, or 2 d 4:00:00
+    yield f"{view.job}: {view.state} on {meta.host} (process {meta.pid}, epoch {meta.epoch}) for {uptime}"
+    yield f"  {figures.words}, {figures.left}"
+    if figures.runs > 1:
+        runs = [f"{one.run} {one.evaluations}/{one.budget}" for one in view.runs]
+        yield f"  {counted(len(runs), 'run')} in progress" + (f": {first_few(runs, SHOWN)}" if runs else "")
+    if objects or figures.scenes:
+        yield f"  {object_words(objects, figures)}"
+    if view.workers:
+        hosts = Counter(worker.host for worker in view.workers).most_common()
+        states = sorted(Counter(worker.state for worker in view.workers).items())
+        counts = ", ".join(f"{n} {state}" for state, n in states)
+        yield f"  workers: {first_few([f'{host} {n}' for host, n in hosts], SHOWN)} ({counts})"
+    else:
+        yield "  workers: none has joined"
+    if not figures.recorders:
+        yield "  no recorder is there: found rows wait for one"
+
+
+def object_words(objects: Sequence[ObjectListing], figures: JobStatus) -> str:
+    """Return how many objects are done, how many shapes are built and rows evaluated, in words."""
+    states = count_states(objects)
+    done, whole = states.pop("done", 0), len(objects) - states.get("skipped", 0)
+    little = sum(bool(each.little) for each in objects)
+    others = [f"{n} {state}" for state, n in states.items() if state in ("failed", "skipped")]
+    parts = [
+        *([", ".join([f"{done} of {counted(whole, 'object')} done", *others])] if objects else []),
+        *([f"{little} got little"] if little else []),
+        *([figures.shapes] if figures.scenes else []),
+        counted(figures.evaluations + figures.trials, "row"),
+    ]
+    return "; ".join(parts)

@@ -1,0 +1,334 @@
+"""Models of jobs and runs, built by a monitor from the messages it receives.
+
+Counts of a job and its runs do not fall where another coordinator goes on with them. The models use no
+clock, bus or thread: time is passed in, in seconds since 1970, and queries that are due are returned.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeVar
+
+from msgspec import Struct, structs
+
+from qdgrasp_coordinator.metrics import job_status
+from qdgrasp_coordinator.metrics.job_status import JobEvent, JobMeta, JobStatus, RunStatus
+from qdgrasp_coordinator.metrics.run_stats import CURVE_POINTS, TOTAL_NAMES, CurvePoint, GrowthCurve
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.keys import AnyJob, Keys, job_of, last_chunk, matches
+from qdgrasp_tools.monitor.job_view import JobView, SeriesBuilder, ThinnedSamples, end_state
+
+CountedStatus = TypeVar("CountedStatus", RunStatus, JobStatus)
+
+COUNTS = frozenset({*TOTAL_NAMES, "rows", "outcomes"})
+"""Fields that only grow while a job goes on: numbers, or numbers by name; jobs lack some."""
+SILENCE_SECONDS = 5.0  # seconds without a message until a coordinator is silent; it publishes twice a second
+LATE_MESSAGE_SECONDS = 1.0  # seconds by which a message may come after the end of its coordinator's token
+RETRY_SECONDS = 5.0  # seconds until a query without an answer is repeated
+MOST_RUNS = 512  # The most runs kept of a job: those in progress first, then those with the latest messages
+MAX_JOBS = 64  # The most jobs that are kept: those with the latest messages
+ALL_KEYS = ""  # Stands for all jobs
+
+
+def with_monotonic_counts(now: CountedStatus, before: CountedStatus | None) -> CountedStatus:
+    """Return the figures now, with no count below that of before; `remaining` falls with them."""
+    if before is None:
+        return now
+    names = COUNTS.intersection(now.__struct_fields__)
+    counts = {name: _greater(getattr(before, name), getattr(now, name)) for name in names}
+    if isinstance(now, JobStatus):
+        counts["remaining"] = max(0, now.remaining - (counts["evaluations"] - now.evaluations))
+    return structs.replace(now, **counts)
+
+
+def _greater(before: Any, now: Any) -> Any:
+    if isinstance(now, Mapping):
+        return {name: max(before.get(name, 0), count) for name, count in now.items()}
+    return max(before, now)
+
+
+def continues_job(before: JobMeta, now: JobMeta) -> bool:
+    """Return whether it is the same coordinator, or one that goes on with the same job.
+
+    Where a job has no identity, the epochs decide: they are counted.
+    """
+    if before.identity and now.identity:
+        return before.identity == now.identity
+    return now.since == before.since or not now.epoch or now.epoch > before.epoch
+
+
+class RunModel:
+    """A run as its messages describe it; no count falls while it goes on."""
+
+    def __init__(self, figures: RunStatus) -> None:
+        self.figures = self._published = figures
+        self.history = SeriesBuilder()
+        self.received_at = 0.0
+        self._points = _curve_points()
+
+    def update(self, published: RunStatus, now: float, *, is_over: bool = False) -> None:
+        """Take new figures; while the run goes on, no count falls."""
+        is_last = is_over or published.finished
+        one = published if is_last else with_monotonic_counts(published, self.figures)
+        self.figures, self._published, self.received_at = one, published, now
+        self.history.add(one, now)
+        self._points.add(CurvePoint(one.evaluations, one.proposals, one.successes, one.cells, one.robust))
+
+    def end(self) -> None:
+        """Show the figures as they were published last: no coordinator goes on with it."""
+        self.figures = self._published
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """Priority for being kept; the greatest is kept longest."""
+        return not self.figures.finished, self.received_at
+
+    def prepend(self, curve: GrowthCurve) -> None:
+        """Take the curve so far; points of later messages are added to it."""
+        later, self._points = self._points.points, _curve_points()
+        for point in [*curve.points, *later]:
+            self._points.add(point)
+
+    @property
+    def curve(self) -> GrowthCurve:
+        """Its growth over evaluations."""
+        return GrowthCurve(run=self.figures.run, points=list(self._points.points))
+
+
+def _curve_points() -> ThinnedSamples[CurvePoint]:
+    return ThinnedSamples(lambda point: point.evaluations, CURVE_POINTS)
+
+
+class JobModel:
+    """One job; `receive` takes the messages of its coordinator, `view` shows the result."""
+
+    def __init__(self, name: str) -> None:
+        self.keys = Keys(name)
+        self.name = name
+        self.meta: JobMeta | None = None
+        self.figures: JobStatus | None = None
+        self.is_readable = True  # False while its coordinator publishes figures of another version
+        self.received_at = 0.0  # Time of its latest message [s since 1970]
+        self._epoch_meta: JobMeta | None = None  # the latest that says which job it goes on with
+        self._published: JobStatus | None = None
+        self._events: dict[tuple[float, int], JobEvent] = {}
+        self._gone_at: float | None = None
+        self._coordinators: set[str] = set()  # keys of their tokens
+        self._reset()
+
+    def _reset(self) -> None:
+        self._floor: JobStatus | None = None  # counts do not fall below these
+        self._runs: dict[str, RunModel] = {}
+        self._pages: dict[int, list[job_status.WorkerStatus]] = {}
+        self._history = SeriesBuilder()
+        self._missing_curves: dict[str, float] = {}  # of runs not seen from their beginnings: when to query
+
+    # Messages
+
+    def receive(self, key: str, payload: bytes, now: float) -> bool:
+        """Take a message, or an answer; False where this version cannot read it."""
+        for pattern, kind, take in self._handlers(last_chunk(key)):
+            if key == pattern:
+                try:
+                    take(job_status.from_json(payload, kind), now)
+                except MessageError:  # of another version, or of no coordinator
+                    self.is_readable = self.is_readable and key != self.keys.stat("job")
+                    return False
+                self.received_at = max(self.received_at, now)
+                return True
+        return False
+
+    def coordinator_changed(self, key: str, alive: bool, now: float, *, is_linked: bool = True) -> None:
+        """Take that a coordinator's token appeared or ended; without a link all seem to end."""
+        (self._coordinators.add if alive else self._coordinators.discard)(key)
+        if alive:
+            self._gone_at, self.received_at = None, now
+        elif is_linked and not self._coordinators:
+            self._gone_at = now
+
+    def link_lost(self, now: float) -> None:
+        """Take the news that the router is away: tokens that ended just before may be alive."""
+        if self._gone_at is not None and now <= self._gone_at + LATE_MESSAGE_SECONDS:
+            self._gone_at = None
+
+    def _handlers(self, last: str) -> Iterator[tuple[str, type[Struct], Callable[..., None]]]:
+        """Yield each key that ends in `last`, with the kind of its messages and their handler."""
+        keys = self.keys
+        yield keys.stat("job"), JobStatus, self._take_figures
+        yield keys.stat(f"run/{last}"), RunStatus, self._take_run
+        yield keys.stat(f"team/{last}"), job_status.WorkersPage, self._take_workers
+        yield keys.stat(f"curve/{last}"), GrowthCurve, self._take_curve
+        yield keys.meta, JobMeta, self._take_meta
+        yield keys.recent, job_status.JobEvents, self._take_events
+        yield keys.event(last), JobEvent, self._take_event
+
+    def _take_meta(self, meta: JobMeta, now: float) -> None:
+        if self._epoch_meta and not continues_job(self._epoch_meta, meta):  # another job of the same name
+            self._reset()
+            self.figures = self._published
+            self._events = {key: event for key, event in self._events.items() if event.at >= meta.since}
+        self.meta = meta
+        self._epoch_meta = meta if meta.epoch else self._epoch_meta or meta
+
+    def _take_figures(self, figures: JobStatus, now: float) -> None:
+        self.is_readable = True
+        if self._gone_at is not None and now > self._gone_at + LATE_MESSAGE_SECONDS:
+            self._gone_at = None  # another coordinator starts, and has no token yet
+        is_over = bool(end_state(figures))
+        self._published = figures
+        self._floor = self.figures = with_monotonic_counts(figures, None if is_over else self._floor)
+        self._history.add(self.figures, now)
+        for run in self._runs.values() if is_over else ():
+            run.end()
+
+    def _take_run(self, figures: RunStatus, now: float) -> None:
+        if figures.run not in self._runs and figures.evaluations:
+            self._missing_curves[figures.run] = now
+        run = self._runs.setdefault(figures.run, RunModel(figures))
+        run.update(figures, now, is_over=bool(end_state(self._published)))
+        while len(self._runs) > MOST_RUNS:
+            dropped = min(self._runs, key=lambda run: self._runs[run].rank)
+            self._missing_curves.pop(dropped, None)
+            del self._runs[dropped]
+
+    def _take_curve(self, curve: GrowthCurve, now: float) -> None:
+        self._missing_curves.pop(curve.run, None)
+        if curve.run in self._runs:
+            self._runs[curve.run].prepend(curve)
+
+    def _take_workers(self, page: job_status.WorkersPage, now: float) -> None:
+        pages = self._pages | {page.page: page.workers}
+        self._pages = {number: pages[number] for number in sorted(pages) if 0 <= number < page.pages}
+
+    def _take_events(self, events: job_status.JobEvents, now: float) -> None:
+        for event in events.events:
+            self._take_event(event, now)
+
+    def _take_event(self, event: JobEvent, now: float) -> None:
+        self._events[event.at.timestamp(), event.number] = event
+        for old in sorted(self._events)[: -job_status.EVENTS_KEPT]:
+            del self._events[old]
+
+    # Queries and views
+
+    @property
+    def is_known(self) -> bool:
+        """True once enough is known to show it."""
+        return self.meta is not None and self.figures is not None
+
+    def due_queries(self, now: float) -> list[str]:
+        """Return keys of missing curves: of runs not seen from their beginnings; with retries.
+
+        Runs that are over and silent jobs are left out: there is no coordinator to answer.
+        """
+        if now - self.received_at > SILENCE_SECONDS:
+            return []
+        is_over = {run for run in self._missing_curves if self._runs[run].figures.finished}
+        self._missing_curves = {run: at for run, at in self._missing_curves.items() if run not in is_over}
+        due = sorted(run for run, at in self._missing_curves.items() if at <= now)
+        self._missing_curves |= dict.fromkeys(due, now + RETRY_SECONDS)
+        return [self.keys.stat(f"curve/{run}") for run in (due if len(due) < 2 else "*")]
+
+    def state(self, now: float, *, is_linked: bool = True) -> str:
+        """Return the state of the job as `JobView` names it."""
+        if self.figures and self._gone_at is None and now - self.received_at <= SILENCE_SECONDS:
+            return self.figures.state
+        is_gone = self._gone_at is not None or (is_linked and not self._coordinators)
+        return end_state(self.figures) or ("gone" if is_gone else "silent")
+
+    def view(self, now: float, *, is_linked: bool = True) -> JobView | None:
+        """Return the job as it is shown; None while too little is known.
+
+        `is_linked` is True where the router can be reached, and could for a while.
+        """
+        if self.meta is None or self.figures is None:
+            return None
+        return JobView(
+            job=self.name,
+            state=self.state(now, is_linked=is_linked),
+            silent=max(0.0, now - self.received_at),
+            meta=self.meta,
+            figures=self.figures,
+            runs=[run.figures for run in self._runs.values()],
+            workers=list({each.wid: each for page in self._pages.values() for each in page}.values()),
+            events=[self._events[key] for key in sorted(self._events)],
+            history=self._history.series,
+            histories={name: run.history.series for name, run in self._runs.items()},
+            curves={name: run.curve for name, run in self._runs.items()},
+        )
+
+
+class JobModels:
+    """All jobs from which messages came; with keys, only the job of these is queried."""
+
+    def __init__(self, keys: Keys | None = None) -> None:
+        self._keys = keys or AnyJob()
+        self.is_linked = True  # False while the router cannot be reached
+        self._linked_at = 0.0
+        self._jobs: dict[str, JobModel] = {}
+        self._due: dict[str, float] = {ALL_KEYS: 0.0}  # when to query a job
+
+    def receive(self, key: str, payload: bytes, now: float) -> None:
+        """Take a message; keys of other programs are ignored."""
+        if job := self._job(key):
+            job.receive(key, payload, now)
+            if not job.is_known:
+                self._due.setdefault(job.name, now)
+
+    def receive_answers(self, values: Mapping[str, bytes], now: float) -> None:
+        """Take answers by their keys: identities of jobs first, curves after their runs."""
+        curve, meta = AnyJob().stat("curve/*"), AnyJob().meta
+        for key in sorted(values, key=lambda key: (not matches(meta, key), matches(curve, key))):
+            if job := self._job(key):
+                job.receive(key, values[key], now)
+        known = {job.name for job in self._jobs.values() if job.is_known}
+        self._due = {name: at for name, at in self._due.items() if at <= now or name not in known}
+
+    def coordinator_changed(self, key: str, alive: bool, now: float) -> None:
+        """Take the news that a coordinator's token appeared or ended."""
+        if matches(AnyJob().coordinator_token(), key) and (job := self._job(key)):
+            if alive:
+                self._due[job.name] = now
+            job.coordinator_changed(key, alive, now, is_linked=self.is_linked)
+
+    def link_changed(self, is_linked: bool, now: float) -> None:
+        """Take the news that the router can be reached, or cannot."""
+        self.is_linked = is_linked
+        if is_linked:
+            self._linked_at = self._due[ALL_KEYS] = now
+            return
+        for job in self._jobs.values():
+            job.link_lost(now)
+
+    def due_queries(self, now: float) -> list[str]:
+        """Return patterns to query: all at first and with a new link, a job when it begins."""
+        if not self.is_linked:
+            return []
+        due = {name for name, at in self._due.items() if at <= now}
+        unknown = {name for name, job in self._jobs.items() if not job.is_known and due & {name, ALL_KEYS}}
+        self._due = {name: at for name, at in self._due.items() if name not in due}
+        self._due |= dict.fromkeys(unknown, now + RETRY_SECONDS)
+        queried: list[Keys] = [self._keys] if ALL_KEYS in due else [Keys(name) for name in sorted(due)]
+        asked = [key for one in queried for key in (one.stat(), one.stat("curve/*"), one.meta, one.recent)]
+        curves = [key for job in self._jobs.values() for key in job.due_queries(now)]
+        return asked + [key for key in curves if not any(matches(pattern, key) for pattern in asked)]
+
+    def views(self, now: float) -> list[JobView]:
+        """Return the jobs of which enough is known, by their names."""
+        is_linked = self.is_linked and now > self._linked_at + SILENCE_SECONDS
+        views = [self._jobs[name].view(now, is_linked=is_linked) for name in sorted(self._jobs)]
+        return [view for view in views if view is not None]
+
+    @property
+    def foreign_jobs(self) -> list[str]:
+        """Jobs whose coordinators are of another version of qdgrasp."""
+        return sorted(job.name for job in self._jobs.values() if not job.is_readable)
+
+    def _job(self, key: str) -> JobModel | None:
+        """Return the model of a key's job; a new one replaces the longest silent at `MAX_JOBS`."""
+        name = job_of(key)
+        if name is None:
+            return None
+        if name not in self._jobs:
+            if len(self._jobs) >= MAX_JOBS:
+                del self._jobs[min(self._jobs, key=lambda name: self._jobs[name].received_at)]
+            self._jobs[name] = JobModel(name)
+        return self._jobs[name]

@@ -1,0 +1,303 @@
+"""Records of runs: successes and scenes, over the bus or from folders at hand."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from shlex import quote
+from socket import gethostname
+from typing import NamedTuple, Protocol
+
+import msgspec
+
+from qdgrasp_assets.scene import Scene, unpack_scene
+from qdgrasp_coordinator.metrics.job_status import (
+    ObjectListing,
+    ObjectListings,
+    RunListing,
+    RunListings,
+    from_json,
+)
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, count_rows
+from qdgrasp_coordinator.storage import atomic_files, success_pages
+from qdgrasp_coordinator.storage.engine_table import EngineTable, other_tables
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.success_pages import SuccessTable, page_from_message
+from qdgrasp_protocol import bundle_transfer, messages
+from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.errors import FolderError, UnknownName
+from qdgrasp_protocol.keys import NAME, Keys
+from qdgrasp_protocol.messages import SuccessPage
+from qdgrasp_protocol.text import printable
+from qdgrasp_tools.report.row_report import RowContextCache
+
+COMMANDS = ("qdgrasp show {folder} --grasp {number}", "qdgrasp render {folder} --grasp {number} -o grasp.png")
+"""Commands about one row of a run."""
+
+
+class JournalId(NamedTuple):
+    """Identity of a journal: in another one of the same job and run, numbers are of other rows."""
+
+    scene: str  # sha256 of the scene bundle
+    began: float  # Time of its beginning [s since 1970]
+
+
+class RunLocation(NamedTuple):
+    """Folder of a run, and its host; an empty host is this machine."""
+
+    folder: str
+    host: str = ""
+
+    def commands(self, number: int) -> list[str]:
+        """Return the commands that print a row and draw it, with the machine to run them on."""
+        folder = quote(printable(self.folder))
+        host = f"  # on {printable(self.host)}" if self.host else ""
+        return [command.format(folder=folder, number=number) + host for command in COMMANDS]
+
+
+@dataclass(frozen=True)
+class RecordPage:
+    """Nominal successes of a run, in journal order."""
+
+    origin: JournalId
+    found: SuccessTable  # (n,)
+    next: int  # The journal number from which to read on
+    rows: int  # Number of rows in the journal
+
+    def is_last(self, first: int) -> bool:
+        """Return whether nothing is left to read for now, if this was read from number `first` on.
+
+        A page also does not get on where successes lack trials: these are read again.
+        """
+        return self.next >= self.rows or self.next <= first
+
+
+class Records(Protocol):
+    """Successes and scenes of runs. Its methods may take a while; any thread may call them.
+
+    They raise `InputError` where there is no such job or run, or it cannot be read, and `BusError` or
+    `MessageError` where there is no answer, or not as agreed.
+    """
+
+    def scene(self, job: str, run: str, digest: str) -> Scene:
+        """Return the scene of a run that `page` named."""
+
+    def page(self, job: str, run: str, first: int) -> RecordPage:
+        """Return some successes of a run from journal number `first` on; `next` leads to more."""
+
+    def curve(self, job: str, run: str) -> GrowthCurve:
+        """Return the curve of a run from its beginning on; without points where it is not known."""
+
+    def place(self, job: str, run: str) -> RunLocation:
+        """Return the location of a run."""
+
+    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
+        """Return the verdicts of other engines on successes of a run, read anew when they change."""
+
+    def settings(self, job: str, run: str) -> dict[str, str]:
+        """Return what a run was asked for, in words by their names, as far as it is known."""
+
+
+class JobRecords(Records, Protocol):
+    """Records that also list the runs and objects of jobs."""
+
+    def entries(self, job: str) -> RunListings:
+        """Return the runs of a job, finished ones too; those not counted yet are left out for now."""
+
+    def entry(self, job: str, run: str) -> RunListing | None:
+        """Return a run of a job; None: it has not begun, or is not counted yet."""
+
+    def objects(self, job: str) -> ObjectListings:
+        """Return all objects of a job, as far as the rows of their runs are counted."""
+
+
+@dataclass(frozen=True)
+class FolderJob:
+    """A job in a folder."""
+
+    folder: JobFolder
+    named: frozenset[Path] | None = None
+    """Folders of the runs that are shown; None: all, also those that begin later."""
+
+    def holds(self, path: Path) -> bool:
+        """Return whether a folder is that of a run that is shown."""
+        return (self.named is None or path.absolute() in self.named) and RunFolder.is_run(path)
+
+    @property
+    def runs(self) -> dict[str, RunFolder]:
+        """Its runs by their names, printable."""
+        paths = self.folder.run_paths if self.named is None else sorted(self.named)
+        folders = [RunFolder(path) for path in paths if RunFolder.is_run(path)]
+        return {printable(folder.run): folder for folder in folders}
+
+
+class FolderIndex:
+    """The jobs in folders: runs, campaigns, runs of campaigns, and folders of such folders.
+
+    A path that is no folder, or holds no job, raises a `FolderError`.
+    """
+
+    def __init__(self, paths: Iterable[Path]) -> None:
+        found: dict[Path, FolderJob] = {}
+        for path in paths:
+            for folder, run in _jobs_at(path):
+                place = folder.path.resolve()
+                known = found.get(place, FolderJob(folder, frozenset()))
+                named = None if run is None or known.named is None else known.named | {run}
+                found[place] = FolderJob(known.folder if run else folder, named)
+        self.jobs: dict[str, FolderJob] = {}
+        for job in found.values():
+            self.jobs[_free_name(job.folder.name, self.jobs)] = job
+
+    def job(self, name: str) -> FolderJob:
+        """Return a job, or raise `UnknownName`."""
+        if name not in self.jobs:
+            raise UnknownName("job", name, self.jobs)
+        return self.jobs[name]
+
+    def run(self, job: str, run: str) -> RunFolder:
+        """Return the folder of a run, or raise `UnknownName`."""
+        asked = self.job(job)
+        if NAME.fullmatch(run) and asked.holds(path := asked.folder.run_path(run)):
+            return RunFolder(path)  # without a look at thousands of others
+        runs = asked.runs
+        if run not in runs:
+            raise UnknownName("run", run, runs)
+        return runs[run]
+
+
+def _jobs_at(path: Path) -> Iterator[tuple[JobFolder, Path | None]]:
+    """Yield the jobs at a path, with the run that is named where it is one."""
+    if JobFolder.is_job(path):
+        yield JobFolder(path), None
+        return
+    if RunFolder.is_run(path):
+        yield RunFolder(path).job, path.absolute()
+        return
+    atomic_files.check_folder(path)
+    inside = sorted(each for each in path.glob("[!.]*") if JobFolder.is_job(each))
+    if not inside:
+        raise FolderError(
+            f"{path} holds no run and no campaign, nor does a folder in it: there is no job.json."
+        )
+    for each in inside:
+        yield JobFolder(each), None
+
+
+def _free_name(name: str, taken: dict[str, FolderJob]) -> str:
+    """Return a free name: of several jobs of one name the second is called name-2."""
+    return next(each for n in count(1) if (each := name if n == 1 else f"{name}-{n}") not in taken)
+
+
+class BusRecords:
+    """`JobRecords` over the bus: answers of the recorder; the coordinator is not involved."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+
+    def scene(self, job: str, run: str, digest: str) -> Scene:
+        """Unpack the bundle that the recorder has."""
+        key = Keys(job).recorded_asset(digest)
+        return unpack_scene(bundle_transfer.fetch_bundle_from(self._bus, key, digest))
+
+    def page(self, job: str, run: str, first: int) -> RecordPage:
+        """Return one answer of the recorder."""
+        payload = self._bus.ask(Keys(job).finds, parameters=f"run={run}&from={first}")
+        message = messages.decode(payload, SuccessPage)
+        origin = JournalId(message.scene, message.began)
+        return RecordPage(origin, page_from_message(message), message.next, message.rows)
+
+    def entries(self, job: str) -> RunListings:
+        """Read all pages of the recorder's list, as far as it has counted."""
+        first, uncounted, runs = 0, 0, list[RunListing]()
+        while True:
+            page = self._entries(job, f"from={first}")
+            runs += page.runs
+            uncounted += page.uncounted
+            if page.next <= first:
+                return RunListings(runs=runs, uncounted=uncounted, host=page.host)
+            first = page.next
+
+    def entry(self, job: str, run: str) -> RunListing | None:
+        """Return the recorder's listing of the run."""
+        return next(iter(self._entries(job, f"run={run}").runs), None)
+
+    def objects(self, job: str) -> ObjectListings:
+        """Read all pages of the recorder's table."""
+        first, objects = 0, list[ObjectListing]()
+        while True:
+            answer = self._bus.ask(Keys(job).objects, parameters=f"from={first}")
+            page = from_json(answer, ObjectListings)
+            objects += page.objects
+            if page.next <= first:
+                return ObjectListings(objects=objects, uncounted=page.uncounted)
+            first = page.next
+
+    def curve(self, job: str, run: str) -> GrowthCurve:
+        """Return the curve as far as the recorder has counted the run."""
+        return self._entries(job, f"run={run}").curve or GrowthCurve(run=run, points=[])
+
+    def place(self, job: str, run: str) -> RunLocation:
+        """Return the recorder's folder; DIR as a placeholder while it has not counted the run."""
+        listings = self._entries(job, f"run={run}")
+        folders = {entry.run: entry.folder for entry in listings.runs}
+        host = "" if listings.host == gethostname() else listings.host
+        return RunLocation(folders.get(run) or "DIR", host)
+
+    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
+        """Return none: the recorder does not tell them."""
+        return {}
+
+    def settings(self, job: str, run: str) -> dict[str, str]:
+        """Return what the recorder lists of the run's spec; nothing before it has counted the run."""
+        entry = self.entry(job, run)
+        names = ("gripper", "object", "method", "protocol", "seed")
+        found = {name: str(getattr(entry, name)) for name in names} if entry else {}
+        return found | ({"evaluations": str(entry.budget)} if entry else {})
+
+    def _entries(self, job: str, parameters: str) -> RunListings:
+        return from_json(self._bus.ask(Keys(job).entries, parameters=parameters), RunListings)
+
+
+class FolderRecords:
+    """`Records` of the jobs in folders, read from their journals as they are now."""
+
+    def __init__(self, index: FolderIndex) -> None:
+        self._index = index
+        self._contexts = RowContextCache()
+
+    def scene(self, job: str, run: str, digest: str) -> Scene:
+        """Unpack the bundle in the run's folder."""
+        return self._index.run(job, run).scene()
+
+    def page(self, job: str, run: str, first: int) -> RecordPage:
+        """Read one page from the journal."""
+        folder = self._index.run(job, run)
+        with folder.journal() as journal:
+            origin = JournalId(journal.scene, journal.created if journal.count else 0.0)
+            context = self._contexts.get(folder, journal)
+            return RecordPage(origin, *success_pages.success_page(journal, first, context), journal.count)
+
+    def curve(self, job: str, run: str) -> GrowthCurve:
+        """Count the rows of the journal; a merged or pruned one has no curve."""
+        folder = self._index.run(job, run)
+        with folder.journal() as journal:
+            return count_rows(folder.spec, () if journal.sources else journal.blocks()).curve(run)
+
+    def place(self, job: str, run: str) -> RunLocation:
+        """Return its folder, here."""
+        return RunLocation(str(self._index.run(job, run).path.absolute()))
+
+    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
+        """Read the tables in the folder."""
+        return other_tables(self._index.run(job, run))
+
+    def settings(self, job: str, run: str) -> dict[str, str]:
+        """Return the spec in the folder, but for tables and poses in it."""
+        values = msgspec.structs.asdict(self._index.run(job, run).spec)
+        return {
+            name.replace("_", " "): printable(str(value))
+            for name, value in values.items()
+            if isinstance(value, str | int | float)
+        }

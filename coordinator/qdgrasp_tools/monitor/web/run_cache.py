@@ -1,0 +1,454 @@
+"""Caches of the runs in the view in 3D, read once for all browsers.
+
+One thread at a time queries an answer; the others take the one before.
+"""
+
+import hashlib
+import threading
+import time
+import zlib
+from collections import OrderedDict
+from collections.abc import Callable
+from contextlib import suppress
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from math import inf
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from qdgrasp_assets.asset_paths import cache_folder
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins, settled_poses
+from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListing, RunListings
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
+from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.engine_table import EngineTable
+from qdgrasp_coordinator.storage.success_pages import SuccessTable
+from qdgrasp_protocol.errors import BusError, FolderError, InputError, NoDataFolder, NoReply, QdgraspError
+from qdgrasp_tools.monitor.records import JobRecords, JournalId, RecordPage, Records
+from qdgrasp_tools.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
+from qdgrasp_tools.rendering.contact_sheet import PlacedHands, common_camera, paint_hands
+from qdgrasp_tools.rendering.hand_geometry import Floats, HandGeometry, hand_geometry
+from qdgrasp_tools.rendering.views import SurfaceDistanceGrid, clear_png, object_mesh, object_picture
+
+WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one's query [s]
+BUSY_SECONDS = 3.0  # After a query without an answer the next one waits so long [s]
+MAX_RUNS = 16  # Runs that are kept, as are the following; the longest unused gives way
+MAX_JOBS = 16  # Jobs whose lists of runs are kept
+MAX_CURVES = 64
+MAX_ENTRIES = 256  # Runs of single objects whose listings are kept
+MAX_DIGESTS = 4096  # Runs of which it is kept what scene they have
+MAX_PICTURES = 512  # Pictures that are kept in memory, of some 5 kB
+PICTURE_PIXELS = 96
+MAX_GRASP_PICTURES = 64  # Pictures of grasps of a run that are kept, of some 10 kB
+GRASP_PIXELS = 132, 108  # Width and height of one
+FIRST_VIEW = -121.8, 26.2  # Azimuth and elevation from which the page looks at first [deg]
+SCENE_SECONDS = 300.0  # A run's scene is not asked for again for so long [s]
+LAST_ROW = (1 << 32) - 1  # Behind every row of a journal: what is read from there on is empty
+OBJECTS_SECONDS = 5.0  # Objects are not read again for so long [s]
+MAX_SCENES = 2  # Scenes of a run: another journal may have another one
+FRESH_SECONDS = 0.25  # Successes are not read again for so long [s]
+LISTED_SECONDS = 5.0  # Nor are lists of runs and curves [s]
+SCENE_WAIT_SECONDS = 1.0  # Successes are read for so long before an answer is given with those that came [s]
+MARGIN_SECONDS = 0.25  # Margins are computed for so long before an answer is given [s]
+MARGINS_AT_ONCE = 4  # Margins, 10 to 40 ms, between two looks at the clock
+
+T = TypeVar("T")
+
+
+class TtlCache(Generic[T]):
+    """The latest answer to a query that may take long; any thread may get it.
+
+    `query` is called with the answer before, None at first; `fresh` gives the time for which an answer is
+    good [s], and `clock` the time [s].
+    """
+
+    def __init__(
+        self,
+        query: Callable[[T | None], T],
+        fresh: Callable[[T], float],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._query, self._fresh, self._clock = query, fresh, clock
+        self._lock = threading.Lock()
+        self._answer: T | None = None
+        self._failure: QdgraspError | None = None
+        self._due = -inf
+
+    def get(self) -> T:
+        """Return the answer, renewed where it is due; the one before while there is no new one.
+
+        Without any, raise what `query` raised, or `NoReply` while another thread waits for it for long.
+        """
+        if self._is_due and self._lock.acquire(timeout=WAIT_SECONDS if self._answer is None else 0):
+            try:
+                if self._is_due:  # no other thread has queried meanwhile
+                    self._renew()
+            finally:
+                self._lock.release()
+        answer, failure = self._answer, self._failure
+        if answer is None or (failure is not None and not isinstance(failure, BusError)):
+            raise (failure or NoReply("It is asked for already; try again.")).with_traceback(None)
+        return answer
+
+    @property
+    def _is_due(self) -> bool:
+        return self._clock() >= self._due
+
+    def _renew(self) -> None:
+        try:
+            answer = self._query(self._answer)
+        except QdgraspError as error:
+            self._failure, self._due = error, self._clock() + BUSY_SECONDS
+        else:
+            self._answer, self._failure = answer, None
+            self._due = self._clock() + self._fresh(answer)
+
+
+def made_once(most: int, make: Callable[..., T]) -> Callable[..., T]:
+    """Keep `most` values by their key, each made once.
+
+    `lru_cache` alone makes one twice if two threads ask for it first.
+    """
+    kept, lock = lru_cache(most)(make), threading.Lock()
+
+    def get(*key: str) -> T:
+        with lock:
+            return kept(*key)
+
+    return get
+
+
+@dataclass(frozen=True)
+class JournalReading:
+    """The part of a journal that has been read."""
+
+    origin: JournalId
+    voxels: VoxelPages
+    tables: dict[str, EngineTable]
+    """Verdicts of other engines, by engine."""
+    rows: SuccessTable | None = None
+    """Successes with their contacts, read to compute margins; some have theirs by now."""
+
+    def with_pages(self, pages: list[RecordPage]) -> "JournalReading":
+        """Return this with the pages that follow."""
+        voxels, last = copy(self.voxels), pages[-1]
+        before = pages[-2].next if len(pages) > 1 else voxels.next
+        found = np.concatenate([page.found for page in pages])
+        voxels.insert(found, last.next, is_whole=last.is_last(before), tables=self.tables)
+        return JournalReading(self.origin, voxels, self.tables, self.rows)
+
+
+@dataclass(frozen=True)
+class LoadedScene:
+    """A scene, and values that are made of it once."""
+
+    scene: Scene
+    hand: HandGeometry
+    shown: BrowserScene
+
+    @cached_property
+    def distance(self) -> SurfaceDistanceGrid:
+        """Distances from the object's surface, for pictures."""
+        return SurfaceDistanceGrid(object_mesh(self.scene))
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """Engine, object and hand as they are simulated: words by their names."""
+        body, hand = self.scene.object, self.scene.gripper
+        sizes = (high - low for low, high in zip(self.shown.low, self.shown.high, strict=True))
+        return {
+            "engine": " and ".join(self.shown.engines),
+            "object's mass": f"{1000 * body.mass:.4g} g",
+            "object's size": " x ".join(f"{100 * size:.3g}" for size in sizes) + " cm",
+            "object's friction": f"{body.lateral_friction:g}",
+            "object's convex parts": body.collision_source,
+            "object's licence": body.licence,
+            "hand's root link": hand.base_link,
+            "hand's finger joints": str(len(hand.joints)),
+            "hand's licence": hand.licence,
+        }
+
+
+class RunCache:
+    """One run in the view; any thread may call it. Its methods raise as those of `Records`."""
+
+    def __init__(self, records: Records, job: str, run: str, clock: Callable[[], float]) -> None:
+        self._records, self._job, self._run, self._clock = records, job, run, clock
+        self._reading = TtlCache(self._read, lambda one: FRESH_SECONDS if one.voxels.is_whole else 0.0, clock)
+
+        def scene(digest: str) -> TtlCache[LoadedScene]:
+            return TtlCache(lambda _: self._load_scene(digest), lambda _: inf, clock)
+
+        self._scenes = made_once(MAX_SCENES, scene)
+        self._pictures = made_once(MAX_GRASP_PICTURES, self._draw)
+        self._wants_margins = False
+
+    def scene(self) -> bytes:
+        """Return JSON of the `BrowserScene` of the journal that the cells are from."""
+        reading = self._reading.get()
+        scene = self._scenes(reading.origin.scene).get().shown
+        engines = [*scene.engines, *reading.tables]
+        return msgspec.json.encode(replace(scene, origin=reading.voxels.origin, engines=engines))
+
+    def cells(self, first: int, *, margins: bool) -> bytes:
+        """Return a page of voxels from the serial `first` on, with the successes read until now.
+
+        With `margins` some more of these are computed, for `MARGIN_SECONDS`, when successes are read next.
+        """
+        self._wants_margins |= margins
+        return self._reading.get().voxels.page(first)
+
+    def grasp(self, number: int) -> bytes:
+        """Return JSON of the `GraspView` of a journal row."""
+        found, origin = self._success(number)
+        commands = self._records.place(self._job, self._run).commands(number)
+        loaded = self._scenes(origin.scene).get()
+        (margin,) = recorded_margins(found, loaded.scene.object)
+        return msgspec.json.encode(grasp_view(found[0], loaded.hand, loaded.shown, commands, margin))
+
+    def picture(self, number: int) -> bytes:
+        """Return a picture of a journal row, the hand as it settled: PNG with a transparent ground."""
+        origin = self._reading.get().origin
+        return self._pictures(str(number), origin.scene, str(origin.began))
+
+    def settings(self) -> bytes:
+        """Return what the run was asked for and how it is simulated: JSON of names and words."""
+        found = self._records.settings(self._job, self._run)
+        found |= self._scenes(self._reading.get().origin.scene).get().settings
+        return msgspec.json.encode(found)
+
+    def _success(self, number: int) -> tuple[SuccessTable, JournalId]:
+        """Read the success in a journal row: (1,), and the journal."""
+        page = self._records.page(self._job, self._run, number)
+        if not len(page.found) or page.found["number"][0] != number:
+            raise InputError(f"Row {number} of the journal of '{self._run}' is no success; see the voxels.")
+        return page.found[:1], page.origin
+
+    def _draw(self, number: str, *_journal: str) -> bytes:
+        """Draw the hand of a journal row from where the page looks at first.
+
+        `_journal` tells rows of one number in different journals apart.
+        """
+        found, origin = self._success(int(number))
+        loaded = self._scenes(origin.scene).get()
+        poses, joints = settled_poses(found), found["joints"].astype(np.float64)
+        hands = PlacedHands(loaded.scene, found, poses, joints)
+        camera = common_camera(hands, *GRASP_PIXELS, FIRST_VIEW)
+        (image,) = paint_hands(hands, camera, loaded.distance)
+        return clear_png(image)
+
+    def _load_scene(self, digest: str) -> LoadedScene:
+        scene = self._records.scene(self._job, self._run, digest)
+        hand = hand_geometry(scene.gripper)
+        return LoadedScene(scene, hand, browser_scene(scene, hand))
+
+    def _read(self, before: JournalReading | None) -> JournalReading:
+        """Read the successes since then, and compute margins if a browser has asked for them."""
+        reading = self._read_successes(before)
+        if not self._wants_margins:
+            return reading
+        self._wants_margins = False
+        return self._compute_margins(reading)
+
+    def _compute_margins(self, reading: JournalReading) -> JournalReading:
+        """Compute margins in the order of `lacking_margins`, for `MARGIN_SECONDS`; at least one."""
+        until, lacking = self._clock() + MARGIN_SECONDS, reading.voxels.lacking_margins()
+        if not len(lacking):
+            return reading
+        rows = reading.rows
+        if rows is None or lacking[0] not in rows["number"]:
+            page = self._records.page(self._job, self._run, int(lacking[0]))
+            if page.origin != reading.origin:
+                return reading  # the next answer notices it
+            rows = page.found
+        found = rows[np.isin(rows["number"], lacking)]
+        body = self._scenes(reading.origin.scene).get().scene.object
+        margins: list[Floats] = []
+        for start in range(0, len(found), MARGINS_AT_ONCE):
+            margins.append(recorded_margins(found[start : start + MARGINS_AT_ONCE], body))
+            if self._clock() > until:
+                break
+        known = np.concatenate([np.zeros(0), *margins])
+        voxels = copy(reading.voxels)
+        voxels.add_margins(found["number"][: len(known)], known)
+        return JournalReading(reading.origin, voxels, reading.tables, rows)
+
+    def _read_successes(self, before: JournalReading | None) -> JournalReading:
+        """Read the successes since then.
+
+        All of them where the journal or a table is another, or the journal fell back.
+        """
+        tables = self._records.engine_tables(self._job, self._run)
+        pages = self._pages(before.voxels.next if before else 0)
+        if before:
+            first, same = pages[0], before.tables.keys() == tables.keys()
+            # `read_table` gives the very same table as long as its file does not change
+            same = same and all(table is before.tables[name] for name, table in tables.items())
+            if first.origin == before.origin and first.rows >= before.voxels.next and same:
+                return before.with_pages(pages)
+            pages = self._pages(0)
+        origin = pages[0].origin
+        if before and before.origin == origin:  # the same journal, read anew: its number must be another
+            number = (before.voxels.origin + 1) % (1 << 32)
+        else:
+            number = zlib.crc32(f"{self._job}/{self._run}/{origin}".encode())
+        voxels = VoxelPages(number)
+        return JournalReading(origin, voxels, tables).with_pages(pages)
+
+    def _pages(self, first: int) -> list[RecordPage]:
+        """Read pages of one journal from a row on, at least one, for `SCENE_WAIT_SECONDS` at most."""
+        until = self._clock() + SCENE_WAIT_SECONDS
+        pages = [self._records.page(self._job, self._run, first)]
+        while not (pages[-1].is_last(first) or self._clock() > until):
+            first = pages[-1].next
+            page = self._records.page(self._job, self._run, first)
+            if page.origin != pages[0].origin:
+                break
+            pages.append(page)
+        return pages
+
+
+class ObjectPictures:
+    """Small pictures of the objects of runs, each rendered once.
+
+    They are kept in memory and in a folder; None: in the cache. A folder that cannot be written is no error:
+    pictures are then in memory alone.
+    """
+
+    def __init__(self, records: Records, folder: Path | None, clock: Callable[[], float]) -> None:
+        self._records = records
+        self._folder = folder
+
+        def digest(job: str, run: str) -> TtlCache[str]:
+            return TtlCache(
+                lambda _: records.page(job, run, LAST_ROW).origin.scene, lambda _: SCENE_SECONDS, clock
+            )
+
+        self._digests = made_once(MAX_DIGESTS, digest)
+        self._pictures: OrderedDict[str, bytes] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, job: str, run: str) -> bytes:
+        """Return the picture of a run's object: PNG; raises as `Records`."""
+        digest = self._digests(job, run).get()
+        with self._lock:
+            picture = self._pictures.pop(digest, b"") or self._read(digest) or self._render(job, run, digest)
+            self._pictures[digest] = picture
+            if len(self._pictures) > MAX_PICTURES:
+                self._pictures.popitem(last=False)
+        return picture
+
+    def _file(self, digest: str) -> Path:
+        # a digest comes over the bus
+        name = hashlib.sha256(f"{digest} {PICTURE_PIXELS}".encode()).hexdigest()
+        return (self._folder or cache_folder() / "pictures") / f"{name}.png"
+
+    def _read(self, digest: str) -> bytes:
+        """Return the picture in the folder, empty where it is not there."""
+        with suppress(OSError, NoDataFolder):
+            return self._file(digest).read_bytes()
+        return b""
+
+    def _render(self, job: str, run: str, digest: str) -> bytes:
+        picture = object_picture(self._records.scene(job, run, digest), PICTURE_PIXELS)
+        with suppress(OSError, FolderError, NoDataFolder):
+            file = self._file(digest)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            atomic_files.replace(file, picture)
+        return picture
+
+
+class RunDataCaches:
+    """Data of single runs, as a page reads them; `clock` gives the time [s].
+
+    The methods may take a while; any thread may call them. They raise a `QdgraspError` where there is no such
+    job, run or grasp, or no answer.
+    """
+
+    def __init__(self, records: Records, clock: Callable[[], float] = time.monotonic) -> None:
+        def curve(job: str, run: str) -> TtlCache[GrowthCurve]:
+            return TtlCache(lambda _: records.curve(job, run), lambda _: LISTED_SECONDS, clock)
+
+        def cache(job: str, run: str) -> RunCache:
+            return RunCache(records, job, run, clock)
+
+        self._curves = made_once(MAX_CURVES, curve)
+        self._runs = made_once(MAX_RUNS, cache)
+
+    def curve(self, job: str, run: str) -> bytes:
+        """Return the curve of a run, also of one that is over: JSON of `GrowthCurve`."""
+        return msgspec.json.encode(self._curves(job, run).get())
+
+    def scene(self, job: str, run: str) -> bytes:
+        """Return the object, the hand and the bounds of a run: JSON of `BrowserScene`."""
+        return self._runs(job, run).scene()
+
+    def cells(self, job: str, run: str, since: int, *, margins: bool = False) -> bytes:
+        """Return a page of voxels from the serial `since` on, as `scene_data` packs them.
+
+        Margins are computed as long as they are asked for, and come with voxels that come again.
+        """
+        return self._runs(job, run).cells(since, margins=margins)
+
+    def grasp(self, job: str, run: str, number: int) -> bytes:
+        """Return the success in a journal row: JSON of `GraspView`."""
+        return self._runs(job, run).grasp(number)
+
+    def grasp_picture(self, job: str, run: str, number: int) -> bytes:
+        """Return a small picture of the success in a journal row: PNG with a transparent ground."""
+        return self._runs(job, run).picture(number)
+
+    def settings(self, job: str, run: str) -> bytes:
+        """Return what a run was asked for and how it is simulated: JSON of names and words."""
+        return self._runs(job, run).settings()
+
+
+class RunCaches(RunDataCaches):
+    """Data of single runs, and lists of runs and objects, with pictures of the objects."""
+
+    def __init__(self, records: JobRecords, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__(records, clock)
+
+        def listings(job: str) -> TtlCache[RunListings]:
+            return TtlCache(lambda _: records.entries(job), lambda _: LISTED_SECONDS, clock)
+
+        def entry(job: str, run: str) -> TtlCache[tuple[RunListing, ...]]:
+            return TtlCache(
+                lambda _: tuple(filter(None, (records.entry(job, run),))), lambda _: LISTED_SECONDS, clock
+            )
+
+        def objects(job: str) -> TtlCache[ObjectListings]:
+            return TtlCache(
+                lambda _: records.objects(job),
+                lambda found: 0.0 if found.uncounted else OBJECTS_SECONDS,
+                clock,
+            )
+
+        self._listings = made_once(MAX_JOBS, listings)
+        self._entries = made_once(MAX_ENTRIES, entry)
+        self._objects = made_once(MAX_JOBS, objects)
+        self._pictures = ObjectPictures(records, None, clock)
+
+    def runs(self, job: str) -> bytes:
+        """Return the runs of a job, finished ones too: JSON of `RunListings`."""
+        return msgspec.json.encode(self._listings(job).get())
+
+    def objects(self, job: str) -> ObjectListings:
+        """Return all objects of a job, with what they got."""
+        return self._objects(job).get()
+
+    def object_runs(self, job: str, file: str) -> bytes:
+        """Return the runs of one object that have begun, finished ones too: JSON of `RunListings`."""
+        names = next((each.names for each in self.objects(job).objects if each.file == file), [])
+        runs = [entry for name in names for entry in self._entries(job, name).get()]
+        return msgspec.json.encode(RunListings(runs=runs))
+
+    def picture(self, job: str, run: str) -> bytes:
+        """Return a small picture of a run's object: PNG with a transparent ground."""
+        return self._pictures.get(job, run)

@@ -1,0 +1,334 @@
+"""Renders hands on an object, or the cells around it; chooses side and grasps to show."""
+
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.ndimage import distance_transform_edt, map_coordinates
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_assets.geometry.mesh import Mesh, join
+from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_coordinator.metrics import success_metrics
+from qdgrasp_coordinator.metrics.cells import PER_METRE, cell_keys, cells
+from qdgrasp_coordinator.metrics.grasp_quality import settled_poses
+from qdgrasp_coordinator.metrics.scores import survival
+from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_tools.rendering.hand_geometry import hand_geometry
+from qdgrasp_tools.rendering.ray_renderer import (
+    RAYS_PER_PIXEL,
+    Floats,
+    LayeredImage,
+    ParallelCamera,
+    RayMesh,
+    fit_camera,
+    shadowed_light,
+    soft_light,
+)
+
+MOST_HANDS, LEAST_HANDS = 8, 3  # Grasps in one picture: many of a jaw, few of a hand
+MOST_LINKS = 24  # Finger links in one picture, at which it is still clear
+CANDIDATES = 4000  # Grasps looked at; of more, evenly many are left out
+LEAST_DISTANCE = 0.035
+"""Hands are drawn at least this far apart on the image [m], so that each can be told apart."""
+LEAST_FACING = 0.3
+"""Hands whose approach is nearer to the line of sight than arccos of this hide the object."""
+AZIMUTHS = np.radians(np.arange(-165, 180, 30))  # Azimuths that are tried
+BROAD_SHARE = 0.97  # A side counts as broad when the object's outline fills this share of its largest one
+
+
+def best_side(body: Mesh, rows: Rows, gripper: SceneGripper, elevation: float) -> float:
+    """Return the azimuth [rad] that shows most of the object, and grasps farthest apart.
+
+    Among sides that show about as much of the object `body` from the camera's `elevation` [rad], it is the
+    one that spreads the grasps that `spread_grasps` chooses.
+    """
+    views = [fit_camera(body.vertices, azimuth, elevation, 100, 100) for azimuth in AZIMUTHS]
+    outlines = np.array([ConvexHull(view.project(body.vertices)[:, :2]).volume for view in views])
+    broad = np.flatnonzero(outlines > BROAD_SHARE * outlines.max())
+    seen = [_spread(spread_grasps(rows, gripper, views[side]), gripper, views[side]) for side in broad]
+    return float(AZIMUTHS[broad[int(np.argmax(seen))]])
+
+
+def _spread(chosen: Rows, gripper: SceneGripper, view: ParallelCamera) -> float:
+    """Sum the distances of hands to their nearest ones [m]; those seen from aside count most."""
+    if len(chosen) < 2:
+        return 0.0
+    positions, approaches = (view.project(vectors) for vectors in _placed(chosen, gripper))
+    gaps = np.linalg.norm(positions[:, None, :2] - positions[None, :, :2], axis=2)
+    return float(np.sort(gaps, axis=1)[:, 1] @ np.linalg.norm(approaches[:, :2], axis=1))
+
+
+def spread_grasps(rows: Rows, gripper: SceneGripper, camera: ParallelCamera) -> Rows:
+    """Choose a few well-spread successes: robust ones if there are any, else grasps."""
+    best = _best_rows(rows)
+    if not len(best):
+        return best
+    positions, approaches = (camera.project(vectors) for vectors in _placed(best, gripper))
+    aside = np.flatnonzero(-approaches[:, 2] < LEAST_FACING)
+    aside = aside if len(aside) else np.arange(len(best))
+    most = int(np.clip(MOST_LINKS // len(gripper.finger_links), LEAST_HANDS, MOST_HANDS))
+    return best[aside[_farthest(positions[aside], approaches[aside], most)]]
+
+
+def _placed(rows: Rows, gripper: SceneGripper) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return positions (n, 3) [m] and approach axes (n, 3) of hands, CoM frame."""
+    pose = settled_poses(rows)
+    return pose[:, :3], Rotation.from_quat(pose[:, 3:]).apply(gripper.approach_axis)
+
+
+def _best_rows(rows: Rows) -> Rows:
+    for least in (Outcome.HELD, Outcome.SHAKEN, Outcome.DROPPED):
+        best = rows[rows["outcome"] >= least]
+        if len(best):
+            return best[:: -(-len(best) // CANDIDATES)]
+    return rows[:0]
+
+
+def _farthest(positions: NDArray[np.floating], approaches: NDArray[np.floating], most: int) -> list[int]:
+    """Choose the outermost hand, then ever the one that is farthest from those chosen."""
+    features = np.hstack([positions[:, :2], 0.5 * LEAST_DISTANCE * approaches])
+    chosen = [int(np.argmax(np.linalg.norm(positions[:, :2], axis=1)))]
+    nearest = np.linalg.norm(features - features[chosen[0]], axis=1)
+    while len(chosen) < most and nearest.max() > LEAST_DISTANCE:
+        chosen.append(int(np.argmax(nearest)))
+        nearest = np.minimum(nearest, np.linalg.norm(features - features[chosen[-1]], axis=1))
+    return chosen
+
+
+ELEVATION = np.radians(26.0)
+OBJECT_AZIMUTH = np.radians(40.0)
+CLAY = "#f7e6ca"  # Colour of the object
+FINGER_HUES = (
+    "#4477aa", "#ee7733", "#009988", "#cc3311", "#33bbee", "#aa3377", "#c0a020", "#332288", "#6a8f2f",
+)  # fmt: skip
+"""Colours of hands in turn: neighbours are told apart with any colour vision."""
+FADE_DISTANCE = 0.06  # A palm fades with its distance from the object, to 1/e of itself at this one [m]
+CUBE_EDGE = 0.0072  # Edge of the cube that stands for a cell [m]; less than a cell, so that they stay apart
+LEAST_CUBE = 5.0
+"""Pixels along the edge of a cube, at least: around a large object cubes stand for blocks of cells."""
+CUT_OPEN_CELLS = 600
+"""With more cells, those toward the viewer's right are left out to show the inside."""
+
+
+@dataclass(frozen=True)
+class DrawnLink:
+    """One shape of a hand that is drawn."""
+
+    mesh: Mesh
+    hue: Floats
+    """(3,) RGB."""
+    is_finger: bool
+
+
+@dataclass(frozen=True)
+class RenderedView:
+    """An image with its camera and the successes in it."""
+
+    image: Floats
+    """(pixels, pixels, 3) in [0, 1]."""
+    camera: ParallelCamera
+    """With `RAYS_PER_PIXEL` rays for each pixel, along each side."""
+    shown: Rows
+    is_uncut: bool = True
+    """True: nothing was left out to show the inside."""
+    block: int = 1
+    """A cube stands for the cells in a block of so many along each side."""
+
+
+def object_picture(scene: Scene, pixels: int) -> bytes:
+    """Render the object alone on a transparent ground, as large as fits.
+
+    Returns a PNG, `pixels` wide and high.
+    """
+    body = object_mesh(scene)
+    side = RAYS_PER_PIXEL * pixels
+    image = LayeredImage(fit_camera(body.vertices, OBJECT_AZIMUTH, ELEVATION, side, side, field=0.0))
+    paint_solid(image, RayMesh(body), rgb(CLAY))
+    return clear_png(image)
+
+
+def clear_png(image: LayeredImage) -> bytes:
+    """Return an image on a transparent ground, as a PNG."""
+    light, dark = image.composed(), image.composed(ground=0.0)
+    covered = 1 - (light - dark).mean(axis=2, keepdims=True)
+    layers = np.concatenate([dark / np.maximum(covered, 1e-3), covered], axis=2)
+    file = io.BytesIO()
+    Image.fromarray(np.rint(255 * np.clip(layers, 0, 1)).astype(np.uint8)).save(file, format="PNG")
+    return file.getvalue()
+
+
+def best_azimuth(scene: Scene, successes: Rows) -> float:
+    """Return the azimuth [rad] that shows the object and grasps on it best."""
+    return best_side(object_mesh(scene), successes, scene.gripper, ELEVATION)
+
+
+def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) -> RenderedView:
+    """Render the object with a few well-spread grasps on it, as they settled."""
+    body = object_mesh(scene)
+    chosen = spread_grasps(successes, scene.gripper, _camera([body], azimuth, pixels))
+    links = list(_links(scene, chosen))
+    image = LayeredImage(_camera([body, *(link.mesh for link in links)], azimuth, pixels))
+    paint_solid(image, RayMesh(body), rgb(CLAY))
+    distance = SurfaceDistanceGrid(body)
+    for link in links:
+        paint_link(image, link, distance)
+    return RenderedView(image.composed(), image.camera, chosen)
+
+
+def view_of_cells(
+    scene: Scene,
+    best: Rows,
+    azimuth: float,
+    pixels: int,
+    hues: Floats | None = None,
+    beside: Sequence[NDArray[np.integer]] = (),
+) -> RenderedView:
+    """Render the object, and a cube for the cell of each of the rows `best` (n,).
+
+    The rows are in distinct cells. The cubes have the colours `hues` (n, 3) RGB; None: those of their
+    fitness. Where a cube would be narrower than `LEAST_CUBE`, it stands for a block of cells, in the colour
+    of the best of them. Cells `beside` it (m, 3), of other views of the object, are in the image's bounds,
+    and it is cut open where one of these views is.
+    """
+    places = cells(best["descriptor"][:, :3])
+    hues = hues_of_survival(survival(best)) if hues is None else hues
+    body, views = object_mesh(scene), [places, *beside]
+    image = LayeredImage(_camera([body, *map(_cubes, views)], azimuth, pixels))
+    block = int(np.ceil(LEAST_CUBE * RAYS_PER_PIXEL * image.camera.step / CUBE_EDGE))
+    blocks, hues = _in_blocks(places, survival(best), hues, block)
+    right, _, toward = image.camera.project(blocks / PER_METRE).T
+    kept = (right < 0) | (toward < 0) | (max(map(len, views)) <= CUT_OPEN_CELLS)
+    cubes = np.repeat(hues[kept], len(CUBE_FACES), axis=0)
+    clay = np.tile(rgb(CLAY), (len(body.faces), 1))
+    solid = join([body, _cubes(blocks[kept], block * CUBE_EDGE)])
+    paint_solid(image, RayMesh(solid), np.concatenate([clay, cubes]))
+    return RenderedView(image.composed(), image.camera, best, bool(kept.all()), block)
+
+
+def _in_blocks(
+    places: NDArray[np.integer], best: NDArray[np.uint8], hues: Floats, block: int
+) -> tuple[NDArray[np.floating], Floats]:
+    """Return the middles (m, 3) [cells] of blocks that have a cell, and their colours (m, 3).
+
+    `places`, `best` and `hues` (n, 3), (n,), (n, 3) are cells with their survival and colours; a block has
+    the colour of its best cell, of equals the first.
+    """
+    order = np.argsort(-best.astype(int), kind="stable")
+    corners = (places[order] // block).astype(np.int64)
+    _, first = np.unique(cell_keys(corners), return_index=True)
+    first.sort()
+    return corners[first] * block + (block - 1) / 2, hues[order[first]]
+
+
+def hues_of_survival(best: NDArray[np.uint8]) -> Floats:
+    """Return the colours (n, 3) of cells by the survival (n,) of their best successes."""
+    colours = np.array([rgb(colour) for colour in success_metrics.FITNESS_COLOURS])
+    return np.asarray(colours[best])
+
+
+def best_in_cells(successes: Rows) -> Rows:
+    """Return the fittest success in each cell, of equals the first."""
+    ordered = successes[np.argsort(-successes["fitness"], kind="stable")]
+    _, first = np.unique(cell_keys(cells(ordered["descriptor"][:, :3])), return_index=True)
+    return ordered[first]
+
+
+def object_mesh(scene: Scene) -> Mesh:
+    """Return the object's surface, CoM frame."""
+    vertices = scene.object.vertices
+    faces = np.frombuffer(scene.object.mesh_faces, "<u4").reshape(-1, 3)
+    return Mesh(vertices.astype(np.float64), faces.astype(np.int64))
+
+
+class SurfaceDistanceGrid:
+    """Distances from a mesh's surface on a grid, to half a step; constant beyond its reach."""
+
+    STEP = 0.006
+    REACH = 0.15
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.low = mesh.vertices.min(axis=0) - self.REACH
+        high = mesh.vertices.max(axis=0) + self.REACH
+        free = np.ones(np.ceil((high - self.low) / self.STEP).astype(int) + 1, dtype=bool)
+        free[tuple(np.rint((_sampled(mesh, self.STEP) - self.low) / self.STEP).astype(int).T)] = False
+        self.grid = distance_transform_edt(free, sampling=self.STEP)
+
+    def __call__(self, points: Floats) -> Floats:
+        """Return the distance (n,) [m] of points (n, 3)."""
+        place = ((points - self.low) / self.STEP).T
+        return np.asarray(map_coordinates(self.grid, place, order=1, mode="nearest", output=np.float32))
+
+
+def _sampled(mesh: Mesh, step: float) -> NDArray[np.float64]:
+    """Return points (n, 3) on a surface, neighbours on a triangle at most `step` apart [m]."""
+    corners = mesh.corners
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    counts = np.ceil(sides / step).astype(int)
+    parts = []
+    for n in np.unique(counts):  # a triangular grid of n steps a side, in barycentric coordinates
+        u, v = (share.ravel() / n for share in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
+        weights = np.stack([1 - u - v, u, v], axis=1)[u + v < 1 + 1e-6]
+        parts.append(np.einsum("wk,tkx->twx", weights, corners[counts == n]).reshape(-1, 3))
+    return np.concatenate(parts)
+
+
+def _links(scene: Scene, chosen: Rows) -> Iterator[DrawnLink]:
+    hand = hand_geometry(scene.gripper)
+    for number, (pose, joints) in enumerate(zip(settled_poses(chosen), chosen["joints"], strict=True)):
+        hue = rgb(FINGER_HUES[number % len(FINGER_HUES)])
+        for shape, vertices in hand.place_meshes(pose, joints.astype(float)):
+            yield DrawnLink(Mesh(vertices, shape.faces), hue, hand.is_finger(shape))
+
+
+def _camera(meshes: list[Mesh], azimuth: float, pixels: int) -> ParallelCamera:
+    points = np.concatenate([mesh.vertices for mesh in meshes])
+    return fit_camera(points, azimuth, ELEVATION, RAYS_PER_PIXEL * pixels, RAYS_PER_PIXEL * pixels)
+
+
+def paint_solid(image: LayeredImage, solid: RayMesh, colour: Floats) -> None:
+    """Paint a solid in one colour (3,) or one for each face (f, 3)."""
+    hits = solid.cast_from(image.camera)
+    light = 0.14 + 0.92 * shadowed_light(hits, solid, image.camera) ** 0.7
+    base = colour if colour.ndim == 1 else colour[hits.faces]
+    image.add_solid(hits, np.clip(base * light[:, None], 0, 1))
+
+
+def paint_link(image: LayeredImage, link: DrawnLink, distance: SurfaceDistanceGrid) -> None:
+    """Paint fingers nearly solid, the palm like glass that fades away from the object."""
+    hits = RayMesh(link.mesh).cast_from(image.camera)
+    edge = (1 - np.abs(hits.normals @ image.camera.axes[2])) ** 2
+    near = np.exp(-((distance(hits.points) / FADE_DISTANCE) ** 2))
+    light = soft_light(hits.normals, image.camera)[:, None]
+    shaded = link.hue * (0.5 + 0.55 * light)
+    if link.is_finger:
+        paler, opacity = 0.2, np.clip(0.58 + 0.32 * near + 0.1 * edge, 0, 0.95)
+    else:
+        paler, opacity = 0.35, 0.05 + 0.15 * near + 0.38 * edge
+    image.add_translucent(hits, np.clip(shaded + (1 - shaded) * paler, 0, 1), opacity)
+
+
+def _cubes(places: NDArray[np.integer] | NDArray[np.floating], edge: float = CUBE_EDGE) -> Mesh:
+    """Return a cube with this edge [m] around the middle of each cell (n, 3)."""
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T * edge / 2
+    vertices = (places[:, None] / PER_METRE + corners).reshape(-1, 3)
+    return Mesh(vertices, (8 * np.arange(len(places))[:, None, None] + CUBE_FACES).reshape(-1, 3))
+
+
+CUBE_FACES = np.array(
+    [
+        (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
+        (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
+    ]
+)  # fmt: skip
+"""Triangles of a cube whose corners are counted with z fastest."""
+
+
+def rgb(colour: str) -> Floats:
+    """Return red, green and blue of a colour (3,), in [0, 1]."""
+    return np.array(to_rgb(colour), dtype=np.float32)

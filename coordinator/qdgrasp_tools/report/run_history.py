@@ -1,0 +1,169 @@
+"""Reads the successes of one run over its evaluations, in one pass over its journal.
+
+Nominal rows are counted; a success's randomised trials give its eta and nothing else. A journal that keeps
+successes alone has the sums over all rows; where every genome counts, the place of a success says after how
+many evaluations it was found.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget
+from qdgrasp_coordinator.metrics.run_stats import count_rows, evaluation_mask
+from qdgrasp_coordinator.metrics.success_metrics import (
+    NEAR_NU,
+    Diversity,
+    EtaSummary,
+    StepSeries,
+    SuccessHistory,
+    SuccessMetrics,
+    diversity,
+    join_histories,
+)
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.report.row_report import empty_niche_archive
+
+SUMMED_COUNTS = ("evaluations", "simulated", "proposals", "overlaps", "dead_ends")
+
+
+def _run_sums(journal: Journal, spec: RunSpec, blocks: Iterable[Rows]) -> dict[str, Any]:
+    """Sum up all rows of a run, as `RunSummary` counts them; the blocks that are kept all pass."""
+    if journal.sources:
+        deque(blocks, maxlen=0)
+        summary = journal.sources[0].summary
+        return {name: summary[name] for name in (*SUMMED_COUNTS, "complete", "cpu_seconds")}
+    total = count_rows(spec, blocks)
+    sums = {name: getattr(total, name) for name in SUMMED_COUNTS}
+    return sums | {"complete": total.finished is not None, "cpu_seconds": journal.cpu_seconds}
+
+
+NU_BINS = 24  # Bins of nu from 0 to pi, 7.5 degrees each: six of them reach to pi / 4
+
+
+@dataclass(frozen=True)
+class RunHistory:
+    """Growth of one run over its evaluations; without a reference set there is no coverage."""
+
+    path: Path
+    spec: RunSpec
+    target: CoverageTarget
+    evaluations: int
+    complete: bool
+    simulated: int
+    proposals: int
+    overlaps: int
+    dead_ends: int
+    successes: int
+    cells: StepSeries
+    """Distinct 1 cm cells with a success."""
+    robust_cells: StepSeries
+    """Distinct 1 cm cells with a robust success."""
+    found: StepSeries | None
+    """Distinct entries of the reference set."""
+    robust_found: StepSeries | None
+    """Entries of fitness 2, found by robust successes."""
+    published: StepSeries | None
+    """Entries as the released code counts them; None for a hand that it does not have."""
+    diversity: Diversity
+    qd_score: float
+    nu: NDArray[np.int64]
+    """(24,): successes by nu, from 0 to pi."""
+    near: int
+    """Successes with nu below pi / 4."""
+    eta: EtaSummary | None
+    """Eta of the successes whose trials are recorded; None where the protocol has none."""
+    cpu_seconds: float
+    search: str = ""
+    """`run_digest` of the run; empty: its scene is not here."""
+
+    def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """Share of the reference set found after so many evaluations; NaN without one."""
+        return self._share(self.found, evaluations)
+
+    def published_coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """The same as the released code counts; NaN without a set or for hands that it lacks."""
+        return self._share(self.published, evaluations)
+
+    def cell_count(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """Number of success cells after so many evaluations."""
+        return self.cells.after(evaluations).astype(np.float64)
+
+    def _share(self, found: StepSeries | None, evaluations: ArrayLike) -> NDArray[np.float64]:
+        if found is None or not self.target.size:
+            return np.full(np.shape(evaluations), np.nan)
+        return found.after(evaluations) / self.target.size
+
+    @property
+    def near_share(self) -> float | None:
+        """Share of successes with nu below pi / 4; None without a success that has a nu."""
+        aimed = int(self.nu.sum())
+        return self.near / aimed if aimed else None
+
+
+def has_curves(folder: RunFolder) -> bool:
+    """Return whether all rows are kept, or successes of a run in which every genome counts."""
+    with folder.journal() as journal:
+        return _has_curves(journal, folder.spec)
+
+
+def read_history(folder: RunFolder, target: CoverageTarget, search: str = "") -> RunHistory:
+    """Read what a run found, also while it goes on.
+
+    Raises FolderError if its journal cannot be read, or does not hold enough of it (`has_curves`).
+    """
+    spec = folder.spec
+    with folder.journal() as journal:
+        if not _has_curves(journal, spec):
+            journal.check_whole()
+        metrics, niches = SuccessMetrics(TrialPlan.of(spec)), empty_niche_archive(folder)
+        found: list[SuccessHistory] = []
+        blocks = metrics.counting(niches.inserting(_collect_successes(journal, spec, found)))
+        sums = _run_sums(journal, spec, blocks)
+        history = join_histories(found, journal.shape.empty(0))
+    known, archive = target.reference, target.archive
+    return RunHistory(
+        path=folder.path,
+        spec=spec,
+        target=target,
+        **sums,
+        successes=metrics.successes,
+        cells=history.cells(),
+        robust_cells=history.cells(Outcome.HELD),
+        found=None if known is None else history.found(known),
+        robust_found=None if known is None else history.found(known.robust, Outcome.HELD),
+        published=None if known is None or archive is None else history.published(known, archive),
+        diversity=diversity(niches),
+        qd_score=metrics.qd_score,
+        nu=np.histogram(history.nu, bins=NU_BINS, range=(0.0, math.pi))[0],
+        near=int(np.count_nonzero(history.nu < NEAR_NU)),
+        eta=metrics.eta,
+        search=search,
+    )
+
+
+def _has_curves(journal: Journal, spec: RunSpec) -> bool:
+    is_placed = spec.overlaps == "count" and not spec.has_own_search  # by the size of its generations
+    return not journal.sources or (len(journal.sources) == 1 and is_placed)
+
+
+def _collect_successes(journal: Journal, spec: RunSpec, found: list[SuccessHistory]) -> Iterator[Rows]:
+    """Yield the rows of a journal in blocks; the successes in each are added as it passes."""
+    before = 0
+    for block in journal.kept():
+        if journal.sources:
+            found.append(SuccessHistory.placed(block, spec.population))
+        else:
+            found.append(SuccessHistory.among(block, spec.overlaps, before))
+            before += int(evaluation_mask(block, spec.overlaps).sum())
+        yield block

@@ -1,0 +1,122 @@
+"""The folder that `qdgrasp security init` writes: authority and certificates of all roles."""
+
+import ipaddress
+import os
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from qdgrasp_coordinator.storage.outputs import OutFolder
+from qdgrasp_protocol.errors import ImpossibleValue, SecurityError
+from qdgrasp_protocol.keys import NAME
+from qdgrasp_protocol.session import Credentials, Role
+from qdgrasp_tools.security import authority
+from qdgrasp_tools.security.access_list import role_configuration
+from qdgrasp_tools.security.authority import CertificateIdentity
+
+PRIVATE_FILE, PRIVATE_FOLDER = 0o600, 0o700
+AUTHORITY_DAYS = 3650  # Longer than the certificates that it issues
+HOST = re.compile(
+    r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*"
+)
+
+
+class SecurityFolder:
+    """Certificates and keys in a folder that only its owner can read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def create(cls, path: Path, *, hosts: Sequence[str], days: int) -> "SecurityFolder":
+        """Create an authority and a certificate for each role, all files or none.
+
+        The first of `hosts`, by which routers are reached, stands in clients' configurations. Certificates
+        are good for `days`. Raises `OutputError` or `DiskFull` where something is at `path` already, or it
+        cannot be written.
+        """
+        check_hosts(hosts)
+        out = OutFolder(path, f"name another path, or add to it with `qdgrasp security add {path} ROLE NAME`")
+        out.check()
+        root = authority.create_authority(max(days, AUTHORITY_DAYS))
+        with out.writing() as made:
+            _make_folder(made, root)
+            write_private_file(made / "ca.key", root.key_pem)
+            for role in Role:
+                _issue(made, Credentials(path.absolute(), role), root, hosts, days)
+        return cls(path)
+
+    @property
+    def authority(self) -> CertificateIdentity:
+        """The authority; raises SecurityError if its files are missing or cannot be read."""
+        try:
+            files = [(self.path / name).read_bytes() for name in ("ca.pem", "ca.key")]
+        except OSError as error:
+            raise SecurityError(
+                f"{error.filename} cannot be read ({error.strerror}); certificates are issued in the folder "
+                "that `qdgrasp security init` wrote."
+            ) from None
+        return CertificateIdentity.from_pem(*files)
+
+    def add(self, role: Role, name: str, *, hosts: Sequence[str], days: int) -> Path:
+        """Issue one more certificate of a role, in a folder of its own that a node can be given.
+
+        Raises `SecurityError` where no authority is here that lasts as long, `OutputError` or `DiskFull`
+        where such a folder is there already, or cannot be written.
+        """
+        check_hosts(hosts)
+        if not NAME.fullmatch(name):
+            raise ImpossibleValue("the name", name, "1 to 64 of the characters a-z, 0-9, '_' and '-'")
+        root, place = self.authority, self.path / name
+        left = (root.certificate.not_valid_after_utc - datetime.now(UTC)).days
+        if days > left:
+            raise SecurityError(
+                f"A certificate cannot outlive its authority, which has {max(0, left)} days left, less than "
+                f"{days}; choose fewer with --days, or begin anew with `qdgrasp security init`."
+            )
+        with OutFolder(place, "choose another name").writing() as made:
+            _make_folder(made, root)
+            _issue(made, Credentials(place.absolute(), role), root, hosts, days, name)
+        return place
+
+
+def _make_folder(made: Path, root: CertificateIdentity) -> None:
+    """Make a folder that only its owner can look into, with the authority's certificate."""
+    made.mkdir(PRIVATE_FOLDER)
+    made.chmod(PRIVATE_FOLDER)  # against the umask
+    write_private_file(made / "ca.pem", root.certificate_pem)
+
+
+def _issue(
+    made: Path,
+    files: Credentials,
+    root: CertificateIdentity,
+    hosts: Sequence[str],
+    days: int,
+    holder: str = "",
+) -> None:
+    """Write certificate, key and configuration of a role into a folder that `files` will name."""
+    names = hosts if files.role is Role.ROUTER else ()
+    identity = authority.issue_certificate(root, files.role.common_name, days, hosts=names, holder=holder)
+    write_private_file(made / files.certificate.name, identity.certificate_pem)
+    write_private_file(made / files.key.name, identity.key_pem)
+    write_private_file(made / files.configuration.name, role_configuration(files, hosts[0]).encode())
+
+
+def check_hosts(hosts: Sequence[str]) -> None:
+    """Check that there is a host and that each is a name or an address; else ImpossibleValue."""
+    if not hosts:
+        raise ImpossibleValue("--host", "", "at least one name or address")
+    for host in hosts:
+        try:
+            ipaddress.ip_address(host)
+        except ValueError:
+            if not HOST.fullmatch(host):
+                raise ImpossibleValue("--host", host, "a host's name or address, without a port") from None
+
+
+def write_private_file(path: Path, content: bytes) -> None:
+    """Write a new file that only its owner can read from the start."""
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE), "wb") as file:
+        file.write(content)

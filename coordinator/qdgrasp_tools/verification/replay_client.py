@@ -1,0 +1,239 @@
+"""Finds a recorded row with its scene, and has a worker's process replay its evaluation.
+
+The row has the shape of its own run, also in a merged journal.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.scene import Bundle, Scene
+from qdgrasp_coordinator.scheduler.run_plan import row_shape
+from qdgrasp_coordinator.search.fixed_poses import as_given
+from qdgrasp_coordinator.search.registry import prior_of
+from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenance
+from qdgrasp_protocol.errors import FolderError, InputError, QdgraspError
+from qdgrasp_protocol.process import ProcessExit, ProcessGroup, Stop
+from qdgrasp_protocol.replay_messages import (
+    ANSWER,
+    FRAMES,
+    REQUEST,
+    SCENE,
+    ReplayAnswer,
+    ReplayPart,
+    ReplayRequest,
+)
+from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_tools.campaign.reduced_journal import reshape_rows
+from qdgrasp_tools.local.restart_policy import GRACE
+from qdgrasp_tools.report.row_report import row_at
+
+
+def in_own_shape(rows: Rows, folder: RunFolder, found_by: Provenance, scene: Scene) -> Rows:
+    """Return rows of a folder in the shape that a worker evaluates them in.
+
+    Raises FolderError if they are of a version with fewer genes, joints or descriptors.
+    """
+    prior = prior_of(found_by.spec)
+    shape = row_shape(scene, prior)
+    for column, words in (("genome", "genes"), ("joints", "joints"), ("descriptor", "descriptors")):
+        has, needed = rows.dtype[column].shape[0], shape.dtype[column].shape[0]
+        if has < needed:
+            raise FolderError(
+                f"{folder.path} has rows of {has} {words} where this version of qdgrasp has {needed} for "
+                f"the prior '{prior}': use the version that recorded them."
+            )
+    return reshape_rows(rows, shape)
+
+
+@dataclass(frozen=True)
+class ReplayTarget:
+    """A recorded row to replay, with its run and scene."""
+
+    number: int
+    row: np.void
+    """The row in the shape of its own run."""
+    found_by: Provenance
+    scene: Scene
+    bundle: Bundle
+
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome of its evaluation."""
+        return Outcome(self.row["outcome"])
+
+    @property
+    def trial(self) -> int:
+        """Number of the trial; 0: the nominal evaluation."""
+        return int(self.row["trial"])
+
+    @property
+    def genome(self) -> tuple[float, ...]:
+        """Genome of the prior `given`, with its very pose."""
+        prior = prior_of(self.found_by.spec)
+        return tuple(as_given(self.scene, prior, self.row.reshape(1))[0].tolist())
+
+
+class NoPose(InputError):
+    """A row without a pose that could be shown."""
+
+    def __init__(self, number: int, outcome: Outcome, reason: str) -> None:
+        why = {
+            Outcome.DEAD_END: "it is a dead end, for which decoding found no pose",
+            Outcome.ERROR: f"its evaluation failed: {reason}",
+        }.get(outcome, "it holds none")
+        super().__init__(f"There is nothing of row {number} to show: {why}.")
+
+
+class NoSuchTrial(InputError):
+    """A trial that is not recorded of a row."""
+
+    def __init__(self, number: int, trial: int, recorded: int) -> None:
+        there = f"trials 1 to {recorded} are" if recorded else "no trial is"
+        super().__init__(
+            f"Trial {trial} of row {number} is not recorded: {there}; only successes of a run under the "
+            "protocol robust, or of a rerank, have any."
+        )
+
+
+def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> ReplayTarget:
+    """Find a row by its number in a folder's journal, or one of the trials of its genome.
+
+    Raises NoSuchRow, NoSuchTrial or NoPose if there is no such row or trial, or nothing of it to show, and
+    FolderError if the folder cannot be read.
+    """
+    with folder.journal() as journal:
+        row = row_at(folder, journal, number)
+        found_by = provenance(folder, journal, number)
+        if trial is not None and trial != row["trial"]:
+            number, row = _trial_of(journal, number, row, trial, found_by)
+        if not row["base_to_object"].any():
+            reason = journal.errors().get(number, "why is not recorded")
+            raise NoPose(number, Outcome(row["outcome"]), reason)
+    scene = folder.scene()
+    (own,) = in_own_shape(row.reshape(1), folder, found_by, scene)
+    return ReplayTarget(number, own, found_by, scene, folder.bundle())
+
+
+def _trial_of(
+    journal: Journal, number: int, row: np.void, trial: int, found_by: Provenance
+) -> tuple[int, np.void]:
+    first, recorded = found_by.rows.start, 0
+    for rows in journal.kept(first, found_by.rows.stop):
+        is_its = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
+        for place in np.flatnonzero(is_its).tolist():
+            recorded = max(recorded, int(rows["trial"][place]))
+            if rows["trial"][place] == trial:
+                return first + place, rows[place]
+        first += len(rows)
+    raise NoSuchTrial(number, trial, recorded)
+
+
+REPLAY_MODULE = "qdgrasp_worker.replay.replay"
+POLL_INTERVAL = 0.05  # seconds between two looks whether it is done
+
+
+class PictureSize(NamedTuple):
+    """Size of a picture, in pixels."""
+
+    width: int
+    height: int
+
+    def __str__(self) -> str:
+        return f"{self.width}x{self.height}"
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """Options for showing an evaluation."""
+
+    size: PictureSize
+    view: tuple[float, float] | None = None
+    """Azimuth and elevation of the camera [deg]; None: those that show most."""
+    what: ReplayPart | None = None
+    """The part that is filmed; None: a still."""
+    parts: bool = False
+    """True: the object is drawn as its convex parts."""
+    pregrasp: bool = False
+    """True: a still shows the hand as it is placed, before closing."""
+
+    def of(self, shown: ReplayTarget) -> ReplayRequest:
+        """Return the request for the process that replays."""
+        return ReplayRequest(
+            genome=shown.genome,
+            trial=shown.trial,
+            width=self.size.width,
+            height=self.size.height,
+            view=self.view,
+            what=self.what,
+            parts=self.parts,
+            pregrasp=self.pregrasp,
+        )
+
+
+@dataclass(frozen=True)
+class ReplayedEvaluation:
+    """The answer and the frames of a replayed evaluation."""
+
+    answer: ReplayAnswer
+    frames: NDArray[np.uint8]
+    """(n, rows, columns, 3), read from the disk as they are asked for."""
+
+
+class ReplayFailed(QdgraspError):
+    """The process that replays ended without an answer."""
+
+    def __init__(self, death: ProcessExit, words: str) -> None:
+        super().__init__(f"The process that replays {death.description}. {words}".strip())
+
+
+@contextmanager
+def replay_evaluation(
+    shown: ReplayTarget, options: ReplayOptions, stop: Stop
+) -> Iterator[ReplayedEvaluation | None]:
+    """Replay a row for a with-block that reads its frames; None where a signal came first.
+
+    Raises InputError if the part that is asked for did not happen, and ReplayFailed if its replay failed.
+    """
+    with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
+        folder = Path(name)
+        (folder / SCENE).write_bytes(shown.bundle.payload)
+        (folder / REQUEST).write_bytes(msgspec.json.encode(options.of(shown)))
+        _run_process(folder, stop)
+        if stop.is_set:
+            yield None
+            return
+        answer = msgspec.json.decode((folder / ANSWER).read_bytes(), type=ReplayAnswer)
+        yield ReplayedEvaluation(answer, np.load(folder / FRAMES, mmap_mode="r", allow_pickle=False))
+
+
+def local_platform() -> dict[str, str]:
+    """Return the entries that decide the bits of results on this machine."""
+    command = [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"]
+    test = subprocess.run(command, capture_output=True, check=True, text=True)
+    return dict(json.loads(test.stdout))
+
+
+def _run_process(folder: Path, stop: Stop) -> None:
+    with ProcessGroup(folder, GRACE) as processes:
+        processes.start("replay", REPLAY_MODULE, [str(folder)])
+        while not (stop.is_set or (ended := processes.exits())):
+            with suppress(subprocess.TimeoutExpired):
+                processes.process("replay").wait(POLL_INTERVAL)
+        for death in () if stop.is_set else ended:
+            words = processes.last_error(death.name)
+            if death.exit_code == InputError.exit_code:
+                raise InputError(words)
+            if death.exit_code:
+                raise ReplayFailed(death, words)

@@ -1,0 +1,331 @@
+"""Evaluates recorded rows again by their genomes, and compares the results bit for bit.
+
+Rows are drawn so that each outcome has its share, and evaluated as runs of a temporary job.
+"""
+
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from msgspec import Struct, structs
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from qdgrasp_assets.grippers.collision_shapes import check_convex
+from qdgrasp_assets.scene import pack_scene
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.run_plan import (
+    JobExtent,
+    ReevaluationPlan,
+    RunPlan,
+    RunQueue,
+    SingleRunQueue,
+    plan_genomes,
+)
+from qdgrasp_coordinator.search.fixed_poses import as_given
+from qdgrasp_coordinator.search.registry import prior_of
+from qdgrasp_coordinator.storage import platforms
+from qdgrasp_coordinator.storage.engine_table import check_table, write_table
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenances
+from qdgrasp_protocol.engines import engine_names
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
+from qdgrasp_protocol.spec import run_spec, to_values
+from qdgrasp_protocol.text import counted
+from qdgrasp_tools.local.progress import ProgressDisplay
+from qdgrasp_tools.local.session import run_temporary_job
+from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines
+from qdgrasp_tools.verification.comparison import (
+    DifferentRow,
+    PlatformShare,
+    VerificationReport,
+    row_differences,
+)
+from qdgrasp_tools.verification.replay_client import in_own_shape
+
+RowKinds = NDArray[np.unsignedinteger]
+
+
+def balanced_sample(kinds: RowKinds, n: int, random: Generator) -> NDArray[np.int64]:
+    """Choose `n` rows, as many of each kind (rows,) as of any other; their places, ascending.
+
+    Of a kind that has fewer all are taken, of one that has more they are drawn uniformly; all, where there
+    are fewer than `n`.
+    """
+    # rank the shuffled rows within their kinds, and take the least ranks
+    order = random.permutation(len(kinds))
+    order = order[np.argsort(kinds[order], kind="stable")]
+    starts = np.concatenate([[0], np.cumsum(np.bincount(kinds))])
+    ranks = np.arange(len(order)) - starts[kinds[order]]
+    chosen = order[np.argsort(ranks, kind="stable")[:n]]
+    return np.asarray(np.sort(chosen))
+
+
+MOST_ROWS = 4096  # Rows in a selection
+
+
+@dataclass(frozen=True)
+class RowSelection:
+    """Some rows of one run."""
+
+    folder: RunFolder
+    found_by: Provenance
+    numbers: NDArray[np.int64]
+    """(n,): of the rows in the folder's journal, ascending."""
+
+    def rows(self) -> Rows:
+        """Read the rows as they are recorded, in the shape of their own run."""
+        first, stop = int(self.numbers[0]), int(self.numbers[-1]) + 1
+        with self.folder.journal() as journal:
+            parts, begin = [], first
+            for rows in journal.kept(first, stop):
+                here = self.numbers[(self.numbers >= begin) & (self.numbers < begin + len(rows))]
+                parts.append(rows[here - begin])
+                begin += len(rows)
+        return in_own_shape(np.concatenate(parts), self.folder, self.found_by, self.folder.scene())
+
+
+VERIFICATION_JOB = "verify"
+TRIAL_KIND = 16  # Offset of a trial's kind from that of a nominal row with the same outcome
+
+
+class ReevaluationQueue(RunQueue):
+    """Queue of selections of rows that are evaluated again, and the results so far.
+
+    Each selection is read when it is next.
+    """
+
+    def __init__(self, selections: Sequence[RowSelection]) -> None:
+        self._selections = {str(number): one for number, one in enumerate(selections)}
+        self._left = deque(self._selections)
+        self._sinks: list[MemorySink] = []
+        self.extent = JobExtent.of({name: len(one.numbers) for name, one in self._selections.items()})
+        self.different: list[DifferentRow] = []
+        self.columns: Counter[str] = Counter()
+        self.outcomes: Counter[Outcome] = Counter()
+
+    def next(self) -> RunPlan | None:
+        """Return the next selection as a run; None when all were given."""
+        if not self._left:
+            return None
+        name = self._left.popleft()
+        selection = self._selections[name]
+        spec, recorded = selection.found_by.spec, selection.rows()
+        plan = ReevaluationPlan(recorded, partial(self.add_row, selection, recorded))
+        return RunPlan.of(spec, selection.folder.prepared_scene(), lambda _shape: plan, run=name)
+
+    def put_back(self, run: str) -> None:
+        """Have a selection evaluated from its beginning, before any other."""
+        self._left.appendleft(run)
+
+    def make_sink(self, plan: RunPlan) -> MemorySink:
+        """Make the in-memory sink of a selection."""
+        self._sinks.append(MemorySink(plan.shape))
+        return self._sinks[-1]
+
+    def add_row(self, selection: RowSelection, rows: Rows, place: int, now: np.void, reason: str) -> None:
+        """Compare a row with the one at its place in the recorded `rows` (n,), and count it."""
+        recorded = rows[place]
+        self.outcomes[Outcome(recorded["outcome"])] += 1
+        differences = row_differences(recorded, now)
+        if not differences:
+            return
+        self.columns.update(differences.keys())
+        self.different.append(
+            DifferentRow(
+                folder=str(selection.folder.path),
+                run=selection.found_by.run,
+                number=int(selection.numbers[place]),
+                generation=int(recorded["generation"]),
+                index=int(recorded["index"]),
+                trial=int(recorded["trial"]),
+                columns=differences,
+                reason=reason,
+            )
+        )
+
+    @property
+    def platform(self) -> dict[str, str]:
+        """Platform on which rows were evaluated."""
+        return next((sink.platform for sink in self._sinks if sink.platform), {})
+
+
+def run_folders_at(path: Path) -> list[RunFolder]:
+    """Return the run at `path`, or those of the campaign there; raises FolderError."""
+    if JobFolder.is_job(path) and JobFolder(path).is_campaign:
+        return [RunFolder.open(run) for run in JobFolder(path).run_paths]
+    return [RunFolder.open(path)]
+
+
+def choose_rows(folders: Sequence[RunFolder], most: int | None, seed: int) -> list[RowSelection]:
+    """Choose rows of all folders, as many of each kind as of any other; `most` None: all.
+
+    Rows on which the simulator failed are tried again too: their machines may have been to blame. Raises
+    InputError if there is nothing to compare.
+    """
+    stocks = [stock for folder in folders for stock in _comparable_rows(folder)]
+    kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *(kinds for _, kinds in stocks)])
+    if not len(kinds):
+        raise InputError("Nothing is recorded there that could be evaluated again.")
+    places = balanced_sample(kinds, len(kinds) if most is None else most, np.random.default_rng(seed))
+    chosen, first = [], 0
+    for stock, _ in stocks:
+        here = places[(places >= first) & (places < first + len(stock.numbers))] - first
+        first += len(stock.numbers)
+        parts = (here[start : start + MOST_ROWS] for start in range(0, len(here), MOST_ROWS))
+        chosen += [replace(stock, numbers=stock.numbers[part]) for part in parts]
+    return chosen
+
+
+def verify_rows(
+    selections: Sequence[RowSelection], config: LocalJobConfig, display: ProgressDisplay, stop: Stop
+) -> VerificationReport:
+    """Evaluate rows again with workers of this machine, and compare every result bit for bit.
+
+    Raises RunsFailed if a folder cannot be read, and EndedEarly if workers die again and again.
+    """
+    check_engines(selection.found_by.spec for selection in selections)
+    found = ReevaluationQueue(selections)
+    run_temporary_job(VERIFICATION_JOB, found, found.make_sink, config, display, stop)
+    rows = sum(found.outcomes.values())
+    return VerificationReport(
+        rows=rows,
+        same=rows - len(found.different),
+        runs=len({(selection.folder.path, selection.found_by.run) for selection in selections}),
+        outcomes={outcome.name.lower(): found.outcomes[outcome] for outcome in sorted(found.outcomes)},
+        different=sorted(found.different, key=lambda one: (one.folder, one.number)),
+        columns=dict(found.columns.most_common()),
+        platform=found.platform,
+        origins=list(_platform_shares(selections, found.platform)),
+    )
+
+
+def _comparable_rows(folder: RunFolder) -> Iterator[tuple[RowSelection, NDArray[np.uint8]]]:
+    """Yield the rows of each run in a folder that can be compared, with their kinds (n,).
+
+    A kind is an outcome, of nominal rows apart from trials.
+    """
+    with folder.journal() as journal:
+        for found_by in provenances(folder, journal):
+            parts = [
+                rows["outcome"] + TRIAL_KIND * (rows["trial"] > 0).astype(np.uint8)
+                for rows in journal.kept(found_by.rows.start, found_by.rows.stop)
+            ]
+            kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *parts])
+            yield RowSelection(folder, found_by, np.arange(found_by.rows.start, found_by.rows.stop)), kinds
+
+
+def _platform_shares(selections: Sequence[RowSelection], now: dict[str, str]) -> Iterator[PlatformShare]:
+    """Yield the platforms that rows were made on, those of most rows first."""
+    counts: Counter[tuple[str | None, tuple[tuple[str, str], ...]]] = Counter()
+    for selection in selections:
+        engine = selection.found_by.spec.engine
+        platform = platforms.platform_of(engine, selection.found_by.platform)
+        counts[engine, tuple(sorted(platform.items()))] += len(selection.numbers)
+    for (simulated_in, items), rows in counts.most_common():
+        platform = dict(items)
+        yield PlatformShare(
+            rows=rows,
+            platform=platform,
+            differences=platforms.platform_differences(platform, now),
+            not_recorded=platforms.missing_entries(simulated_in, platform),
+        )
+
+
+class EngineComparison(Struct, frozen=True, kw_only=True):
+    """Verdicts of another engine on recorded successes."""
+
+    engine: str
+    rows: int
+    """Rows that the other engine has judged."""
+    failed: int
+    """Rows besides on which it failed."""
+    same_verdict: int
+    """Rows that both engines call robust, or neither."""
+    outcomes: dict[str, dict[str, int]]
+    """Rows by their recorded outcome, and by that in the other engine."""
+    file: str
+    """The table of all rows that were judged."""
+
+    @classmethod
+    def of(cls, engine: str, recorded: Rows, now: Rows, *, failed: int, file: Path) -> "EngineComparison":
+        """Compare rows (n,) as recorded with the same ones as judged by the other engine."""
+        outcomes: dict[str, dict[str, int]] = {}
+        pairs = Counter(zip(recorded["outcome"].tolist(), now["outcome"].tolist(), strict=True))
+        for (before, after), number in sorted(pairs.items(), reverse=True):
+            outcomes.setdefault(Outcome(before).name.lower(), {})[Outcome(after).name.lower()] = number
+        same = int(((recorded["outcome"] >= Outcome.HELD) == (now["outcome"] >= Outcome.HELD)).sum())
+        return cls(
+            engine=engine, rows=len(now), failed=failed, same_verdict=same, outcomes=outcomes, file=str(file)
+        )
+
+    @property
+    def table(self) -> str:
+        """Lines for a person."""
+        lines = [
+            f"recorded {name}: {', '.join(f'{number} {now}' for now, number in found.items())}"
+            for name, found in self.outcomes.items()
+        ]
+        if self.failed:
+            lines.append(f"{self.engine} failed on {self.failed} more, which are not in the table")
+        share = f"{self.same_verdict} of {counted(self.rows, 'success', 'successes')}"
+        verdicts = f"{share} have the same verdict in {self.engine}, robust or not"
+        return "\n".join([verdicts, *lines, self.file])
+
+
+OF_TRIALS = ("base", "trials", "finalists")  # Keys of a spec that a comparison has no use for
+
+
+def compare_engine(
+    folder: RunFolder,
+    engine: str,
+    most: int | None,
+    seed: int,
+    config: LocalJobConfig,
+    display: ProgressDisplay,
+    stop: Stop,
+) -> EngineComparison | None:
+    """Simulate successes of a run in another engine, and write the table in its folder.
+
+    Their commanded poses are what is simulated: `most` of them, None all. None where it was stopped. Raises
+    InputError for a run of `released`, of several runs, or without successes, and for two engines.
+    """
+    if len(engine_names(engine)) > 1:
+        raise InputError(f"verify compares with one engine, and '{engine}' names two; name one of them.")
+    values = to_values(folder.spec) | {"engine": engine, "protocol": folder.spec.nominal_protocol}
+    spec = run_spec({key: value for key, value in values.items() if key not in OF_TRIALS}, "verify")
+    check_engines([spec])
+    with folder.journal() as journal:
+        if journal.sources:
+            raise InputError(
+                f"{folder.path} is merged or pruned: compare the engines on a run that keeps all its rows, "
+                "before that."
+            )
+        rows = np.concatenate([journal.shape.empty(0), *journal.kept()])
+    places = np.flatnonzero((rows["outcome"] >= Outcome.DROPPED) & (rows["trial"] == 0))
+    if not len(places):
+        raise InputError(f"{folder.path} has no success that could be simulated in {engine}.")
+    check_table(folder, engine)
+    random = np.random.default_rng(seed)
+    places = places[balanced_sample(rows["outcome"][places], most or len(places), random)]
+    scene = structs.replace(folder.scene(), engine=spec.engine, protocol=spec.protocol, base=spec.base)
+    if scene.engine:
+        check_convex(scene.gripper)
+    genomes = as_given(scene, prior_of(folder.spec), rows[places])
+    plan = plan_genomes(spec, PreparedScene(scene, pack_scene(scene)), GIVEN, genomes)
+    memory = MemorySink(plan.shape)
+    queue = SingleRunQueue(lambda: plan, len(places))
+    run_temporary_job(VERIFICATION_JOB, queue, lambda _: memory, config, display, stop)
+    if stop.is_set:
+        return None
+    judged = memory.rows["outcome"] != Outcome.ERROR
+    if not judged.any():
+        raise InputError(f"{engine} failed on every success of {folder.path}; `qdgrasp run` in it tells why.")
+    recorded, now = rows[places[judged]], memory.rows[judged]
+    table = write_table(folder, engine, places[judged], recorded, now)
+    return EngineComparison.of(engine, recorded, now, failed=int((~judged).sum()), file=table)

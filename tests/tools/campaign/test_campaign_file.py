@@ -1,0 +1,495 @@
+"""Many runs from one file: their specs and their names."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+import trimesh
+from structlog.testing import capture_logs
+
+from qdgrasp_assets import ycb
+from qdgrasp_coordinator.scheduler.run_plan import full_spec
+from qdgrasp_coordinator.search.registry import prior_of
+from qdgrasp_protocol.errors import (
+    ImpossibleValue,
+    InputError,
+    JawNeeded,
+    UnknownKey,
+    UnknownName,
+    UnusableMeshes,
+)
+from qdgrasp_protocol.keys import NAME
+from qdgrasp_protocol.spec import differences, run_spec
+from qdgrasp_tools.campaign.campaign_file import (
+    SATURATION,
+    campaign_of_meshes,
+    check_meshes,
+    is_campaign,
+    make_campaign,
+    read_campaign,
+    run_name,
+)
+from qdgrasp_tools.campaign.campaign_folder import defaults_left_out
+from qdgrasp_tools.campaign.object_library import LibraryRules
+from qdgrasp_tools.cli.coordinator_process import runs_of_job
+
+SHIPPED = sorted((Path(__file__).parents[3] / "deploy" / "campaigns").glob("*.toml"))
+CROSS = {"gripper": "panda", "object": ["mug", "bowl"], "method": ["contact_rand", "me_scs"], "seed": [0, 1]}
+
+SHADOW = {"gripper": "shadow", "method": "antipodal_rand"}
+USUAL = {"method": "aimed", "generations_in_flight": 1}
+BEGUN = {"defaults": USUAL, "cross": [{"gripper": "panda", "object": "mug"}]}
+"""A campaign as version 0.1.0 wrote it into a folder."""
+
+
+def names(source: dict[str, object]) -> list[str]:
+    return list(make_campaign(source, "c.toml").runs)
+
+
+def named(**values: object) -> str:
+    whole = {"gripper": "panda", "object": "mug", **values}
+    return run_name(full_spec(whole), whole)
+
+
+class TestCrossing:
+    def test_lists_are_crossed_and_the_last_changes_fastest(self) -> None:
+        found = names({"cross": [CROSS]})
+        assert len(found) == 8
+        assert found[:3] == ["panda-mug-contact_rand-s0", "panda-mug-contact_rand-s1", "panda-mug-me_scs-s0"]
+
+    def test_defaults_are_of_every_run_and_crossings_overrule_them(self) -> None:
+        source = {
+            "defaults": {"evaluations": 300, "seed": 5},
+            "cross": [CROSS, CROSS | {"object": "banana", "seed": 7}],
+        }
+        runs = make_campaign(source, "c.toml").runs
+        assert {spec.evaluations for spec in runs.values()} == {300}
+        assert "panda-banana-me_scs-s7" in runs
+
+    @pytest.mark.parametrize("object_", [{"file": "a.stl"}, [["mug", "bowl"]]])
+    def test_an_object_that_is_no_name_is_refused(self, object_: object) -> None:
+        with pytest.raises(InputError, match=r"object.*must be"):
+            names({"cross": [CROSS | {"object": object_}]})
+
+    def test_a_table_of_objects_that_is_none_is_refused_beside_a_library(self, tmp_path: Path) -> None:
+        (tmp_path / "c.toml").write_text('objects = ["mug"]\n[[cross]]\nobject = "lib.csv"\n')
+        with pytest.raises(ImpossibleValue, match="objects must be a table for each mesh file"):
+            read_campaign(tmp_path / "c.toml")
+
+    def test_goals_replace_those_of_the_defaults_and_are_no_part_of_a_runs_name(self, tmp_path: Path) -> None:
+        file = tmp_path / "c.toml"
+        crosses = [{"object": "mug"}, {"object": "bowl", "successes": 7}]
+        source = {"defaults": {"gripper": "panda", "successes": 5}, "cross": crosses}
+        file.write_text(tomli_w.dumps(source))
+        as_written = read_campaign(file)
+        asked = read_campaign(file, goals={"successes": 9, "no_new_cell": None})
+        assert [spec.successes for spec in as_written.runs.values()] == [5, 7]
+        assert [spec.successes for spec in asked.runs.values()] == [9, 7]
+        assert list(asked.runs) == list(as_written.runs) == ["panda-mug-aimed-s0", "panda-bowl-aimed-s0"]
+        file.write_text(asked.toml)
+        assert read_campaign(file).runs == asked.runs
+
+    def test_a_target_of_grasps_brings_a_cap_and_a_saturation_unless_they_are_said(self, tmp_path) -> None:
+        def ends(defaults: dict[str, object], **goals: float) -> set[tuple[object, ...]]:
+            file = tmp_path / "c.toml"
+            file.write_text(tomli_w.dumps({"defaults": defaults, "cross": [CROSS]}))
+            runs = read_campaign(file, goals=goals).runs.values()
+            return {(spec.grasps, spec.evaluations, spec.saturation) for spec in runs}
+
+        assert ends({}) == {(None, 10_000, None)}
+        assert ends({}, grasps=2000) == {(2000, 20_000, SATURATION)}
+        assert ends({"evaluations": 7000, "saturation": 0.3}, grasps=2000) == {(2000, 7000, 0.3)}
+        assert ends({"evaluations": 7000}, grasps=20, evaluations=50, saturation=0) == {(20, 50, 0)}
+        assert ends({"grasps": 20}) == {(20, 10_000, None)}
+
+    def test_a_run_that_is_asked_for_twice_is_one(self) -> None:
+        assert names({"cross": [CROSS, CROSS]}) == names({"cross": [CROSS]})
+
+    def test_a_run_with_two_budgets_is_refused(self) -> None:
+        with pytest.raises(InputError, match=r"'panda-mug-contact_rand-s0' twice, with different values"):
+            names({"cross": [CROSS, CROSS | {"evaluations": 7}]})
+
+    def test_each_run_may_have_its_own_seed_for_the_surface_points_too(self, tmp_path: Path) -> None:
+        source = {"cross": [CROSS | {"object": "mug", "method": "aimed", "surface_seed": "seed"}]}
+        found = make_campaign(source, "c.toml")
+        assert [(spec.seed, spec.surface_seed) for spec in found.runs.values()] == [(0, 0), (1, 1)]
+        assert list(found.runs) == ["panda-mug-aimed-s0", "panda-mug-aimed-s1-surface1"]
+        (tmp_path / "c.toml").write_text(found.toml)
+        assert read_campaign(tmp_path / "c.toml").runs == found.runs
+
+    def test_such_a_seed_is_for_campaigns_alone(self) -> None:
+        with pytest.raises(ImpossibleValue, match=r"surface_seed.*or 'seed' in the file of a campaign alone"):
+            run_spec({"gripper": "panda", "object": "mug", "surface_seed": "seed"})
+        with pytest.raises(ImpossibleValue, match=r"surface_seed must be .*, got 'seeds'"):
+            make_campaign({"cross": [CROSS | {"surface_seed": "seeds"}]}, "c.toml")
+
+    def test_without_a_method_a_run_has_the_default_and_one_generation_in_flight(self) -> None:
+        found = make_campaign({"cross": [{"gripper": "panda", "object": "mug"}]}, "c.toml")
+        (spec,) = found.runs.values()
+        assert (spec.method, spec.overlaps, spec.population) == ("aimed", "redraw", 50)
+        assert spec.generations_in_flight == 1
+        taken_for_granted = {"method": "aimed", "generations_in_flight": 1}
+        assert tomllib.loads(found.toml)["defaults"].items() >= taken_for_granted.items()
+
+    def test_the_file_may_ask_for_more_generations_in_flight(self) -> None:
+        source = {"cross": [{"gripper": "panda", "object": "mug", "generations_in_flight": [1, 2]}]}
+        found = {name: spec.generations_in_flight for name, spec in make_campaign(source, "c").runs.items()}
+        assert found == {"panda-mug-aimed-s0": 1, "panda-mug-aimed-s0-flight2": 2}
+
+    def test_a_new_campaign_has_more_genomes_in_flight_and_one_that_was_begun_what_its_folder_says(
+        self, tmp_path: Path
+    ) -> None:
+        source = {"cross": [{"gripper": "panda", "object": "mug"}]}
+        asked = make_campaign(source, "c.toml")
+        assert {name: spec.in_flight for name, spec in asked.runs.items()} == {"panda-mug-aimed-s0": 400}
+        file = tmp_path / "campaign.toml"
+        file.write_text(asked.toml)
+        assert read_campaign(file, is_begun=True).runs == asked.runs
+        elder = make_campaign(source, "c.toml", taken={"aim_for"})
+        assert {name: spec.in_flight for name, spec in elder.runs.items()} == {"panda-mug-aimed-s0": None}
+        file.write_text(elder.toml)
+        assert read_campaign(file, is_begun=True).runs == elder.runs
+        assert defaults_left_out(tmp_path) == {"in_flight", "protocol"}
+        file.write_text(tomli_w.dumps(source))
+        assert (
+            read_campaign(file, without=defaults_left_out(tmp_path)).runs["panda-mug-aimed-s0"].aim_for
+            is None
+        )
+
+    @pytest.mark.parametrize(
+        "said",
+        [
+            {"population": 20},
+            {"generations_in_flight": 2},
+            {"aim_for": "touch"},
+            {"diversity": "posture"},
+            {"overlaps": "count"},
+        ],
+    )
+    def test_a_file_that_says_how_much_is_in_flight_gets_that(self, said: dict[str, Any]) -> None:
+        cross = {"gripper": "panda", "object": "mug"}
+        for source in ({"cross": [cross | said]}, {"defaults": said, "cross": [cross]}):
+            (spec,) = make_campaign(source, "c.toml").runs.values()
+            assert spec.in_flight is None
+        (spec,) = make_campaign({"cross": [cross | {"in_flight": 100}]}, "c.toml").runs.values()
+        assert spec.in_flight == 100
+
+    def test_what_the_method_has_is_filled_in_for_each_run(self) -> None:
+        runs = make_campaign({"cross": [CROSS | {"method": ["me_scs", "cma_mae"]}]}, "c.toml").runs
+        assert {spec.method: spec.population for spec in runs.values()} == {"me_scs": 500, "cma_mae": 540}
+
+
+FORTY = {"defaults": {"gripper": "panda", "object": "mug"}, "cross": [{"seed": list(range(40))}]}
+
+
+class TestShares:
+    """Campaigns of which several coordinators carry out a share each."""
+
+    def test_every_run_is_in_one_share_and_is_the_run_of_the_whole(self, tmp_path: Path) -> None:
+        file = tmp_path / "c.toml"
+        file.write_text(tomli_w.dumps(FORTY))
+        whole = read_campaign(file).runs
+        shares = [read_campaign(file, shard=f"{n}/3").runs for n in (1, 2, 3)]
+        assert sorted(name for share in shares for name in share) == sorted(whole)
+        assert all(whole[name] == spec for share in shares for name, spec in share.items())
+        assert min(map(len, shares)) > 5
+
+    def test_the_share_is_kept_in_the_folders_file(self, tmp_path: Path) -> None:
+        file = tmp_path / "c.toml"
+        file.write_text(tomli_w.dumps(FORTY))
+        asked = read_campaign(file, shard="2/3")
+        file.write_text(asked.toml)
+        assert read_campaign(file, is_begun=True).runs == asked.runs
+
+    @pytest.mark.parametrize("shard", ["0/3", "4/3", "1", "1/0", "a/b", "-1/3", 2])
+    def test_a_share_that_is_none_is_refused(self, shard: Any) -> None:
+        with pytest.raises(ImpossibleValue, match="shard must be a share of so many, such as '2/4'"):
+            make_campaign(FORTY | {"shard": shard}, "c.toml")
+
+    def test_a_share_without_a_run_is_refused(self) -> None:
+        source = {"cross": [{"gripper": "panda", "object": "mug"}]}
+        with pytest.raises(InputError, match="none of its 1 run is in the share"):
+            [make_campaign(source | {"shard": f"{n}/3"}, "c.toml") for n in (1, 2, 3)]
+
+
+class TestObjectives:
+    """`aim_for` of runs whose method has an objective."""
+
+    @pytest.mark.parametrize(("defaults", "objective"), [({}, "hold"), ({"aim_for": "touch"}, "touch")])
+    def test_the_file_in_a_folder_records_the_objective(self, tmp_path: Path, defaults, objective) -> None:
+        cross = {"gripper": "panda", "object": "mug", "method": ["aimed", "me_scs"]}
+        asked = make_campaign({"defaults": defaults, "cross": [cross]}, "c.toml")
+        assert {spec.method: spec.aim_for for spec in asked.runs.values()} == {
+            "aimed": objective,
+            "me_scs": None,
+        }
+        assert tomllib.loads(asked.toml)["defaults"]["aim_for"] == objective
+        file = tmp_path / "campaign.toml"
+        file.write_text(asked.toml)
+        assert read_campaign(file, is_begun=True).runs == asked.runs
+
+    def test_objectives_are_crossed_for_methods_that_have_one(self) -> None:
+        aims, pair = {"aim_for": ["hold", "margin"]}, {"gripper": "panda", "object": "mug"}
+        found = names({"defaults": aims, "cross": [pair | {"method": ["aimed", "me_scs"]}]})
+        assert found == ["panda-mug-aimed-s0", "panda-mug-aimed-s0-margin", "panda-mug-me_scs-s0"]
+        with pytest.raises(ImpossibleValue, match="aim_for must be left out for method 'me_scs'"):
+            names({"cross": [pair | aims | {"method": "me_scs"}]})
+
+    def test_kinds_of_grasps_are_for_methods_with_an_objective_alone(self) -> None:
+        kinds = {"diversity": "orientation", "grasps_per_cell": [2, 3]}
+        cross = {"gripper": "panda", "object": "mug", "method": ["aimed", "me_scs"]}
+        found = names({"defaults": kinds, "cross": [cross]})
+        aimed = [f"panda-mug-aimed-s0-orientation-grasps{n}" for n in (2, 3)]
+        assert found == [*aimed, "panda-mug-me_scs-s0"]
+        with pytest.raises(ImpossibleValue, match="diversity must be left out for method 'me_scs'"):
+            names({"cross": [cross | kinds]})
+
+    def test_a_folder_that_version_0_1_0_began_goes_on_to_aim_at_touch(self, tmp_path: Path) -> None:
+        file = tmp_path / "campaign.toml"
+        file.write_text(tomli_w.dumps(BEGUN))
+        (spec,) = read_campaign(file, is_begun=True).runs.values()
+        assert prior_of(spec) == "aimed"
+
+    def test_such_a_folder_has_the_runs_that_were_begun(self, tmp_path: Path) -> None:
+        file = tmp_path / "campaign.toml"
+        file.write_text(tomli_w.dumps(BEGUN))
+        asked = read_campaign(file, is_begun=True)
+        (spec,) = asked.runs.values()
+        recorded = {"gripper": "panda", "object": "mug", "overlaps": "redraw", "population": 50}
+        assert list(asked.runs) == ["panda-mug-aimed-s0"]
+        assert differences(spec, run_spec(recorded)) == []
+        file.write_text(asked.toml)
+        assert read_campaign(file, is_begun=True).runs == asked.runs
+
+
+class TestNames:
+    @pytest.mark.parametrize(
+        ("values", "more"),
+        [
+            ({}, ""),
+            ({"evaluations": 7}, ""),
+            ({"generations_in_flight": 1}, ""),
+            ({"generations_in_flight": 2}, "-flight2"),
+            ({"aim_for": "hold"}, ""),
+            ({"aim_for": "touch"}, "-touch"),
+            ({"mutation_sigma": 0.05, "protocol": "released"}, "-sigma0_05-released"),
+        ],
+    )
+    def test_a_name_says_what_is_not_the_default_and_no_budget(self, values, more) -> None:
+        assert named(**values) == f"panda-mug-aimed-s0{more}"
+
+    @pytest.mark.parametrize(
+        ("method", "overlaps", "other", "population"),
+        [("aimed", "redraw", "count", 50), ("me_scs", "count", "redraw", 500)],
+    )
+    def test_what_the_method_has_anyway_is_no_part_of_a_name(self, method, overlaps, other, population):
+        assert named(method=method, overlaps=overlaps, population=population) == named(method=method)
+        assert named(method=method, overlaps=other) != named(method=method)
+
+    def test_a_long_name_is_cut_and_still_its_own(self) -> None:
+        long = {"gripper": "ref_robotiq_2f", "object": "bleach_cleanser", "method": "antipodal_cma_mae"}
+        one, other = (named(**long, population=60, surface_seed=seed) for seed in (1, 2))
+        assert one != other
+        assert all(NAME.fullmatch(name) for name in (one, other))
+
+
+class TestScans:
+    @pytest.fixture(autouse=True)
+    def one_scan(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(ycb, "scan_source", lambda name: "fetched" if name == "ycb_mug" else "absent")
+        monkeypatch.setattr(ycb, "check_there", lambda name: None)
+
+    def test_scans_are_taken_where_they_are_found_and_stand_ins_are_told_of(self) -> None:
+        found = make_campaign({"prefer_scans": True, "cross": [CROSS]}, "c.toml")
+        assert {spec.object for spec in found.runs.values()} == {"ycb_mug", "bowl"}
+        assert (found.scans, found.stand_ins) == (("mug",), ("bowl",))
+        assert "no scan found of bowl" in found.words
+
+    def test_a_coordinator_by_itself_tells_of_stand_ins_too(self, tmp_path: Path) -> None:
+        file = tmp_path / "c.toml"
+        file.write_text(tomli_w.dumps({"prefer_scans": True, "cross": [CROSS]}))
+        with capture_logs() as logs:
+            runs_of_job(file, None)
+        assert [entry["objects"] for entry in logs if "stand-ins" in entry["event"]] == [("bowl",)]
+
+    def test_stand_ins_stay_where_they_are_asked_for(self) -> None:
+        assert "panda-mug-me_scs-s0" in names({"cross": [CROSS]})
+
+    def test_the_folders_file_means_the_same_without_the_scans(self, tmp_path: Path) -> None:
+        found = make_campaign({"prefer_scans": True, "cross": [CROSS]}, "c.toml")
+        file = tmp_path / "campaign.toml"
+        file.write_text(found.toml)
+        assert read_campaign(file).runs == found.runs
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("source", "error", "words"),
+        [
+            ({}, InputError, "asks for no run"),
+            ({"cross": []}, InputError, "asks for no run"),
+            ({"cross": [CROSS], "defualts": {}}, UnknownKey, "defualts"),
+            ({"cross": [CROSS], "defaults": 3}, ImpossibleValue, "defaults must be a table"),
+            ({"cross": [CROSS], "prefer_scans": "yes"}, ImpossibleValue, "true or false"),
+            ({"cross": [CROSS, CROSS | {"object": []}]}, ImpossibleValue, "object must be one value, or"),
+            ({"cross": [CROSS | {"sede": 3}]}, UnknownKey, "sede"),
+            ({"cross": [CROSS | {"method": "best"}]}, UnknownName, "best"),
+            ({"cross": [CROSS | {"seed": [-1]}]}, ImpossibleValue, "at least 0"),
+            ({"cross": [CROSS | {"gripper": "pandaa"}]}, UnknownName, "pandaa"),
+            ({"cross": [CROSS | {"object": "mugg"}]}, UnknownName, "mugg"),
+            ({"cross": [CROSS | SHADOW]}, JawNeeded, "'shadow' has no"),
+            ({"cross": [{"object": "mug"}]}, InputError, "'gripper' is missing"),
+        ],
+    )
+    def test_a_campaign_that_cannot_be_is_one_sentence(self, source, error, words) -> None:
+        with pytest.raises(error, match=words):
+            make_campaign(source, "c.toml")
+
+    def test_a_file_is_a_campaigns_or_a_runs(self, tmp_path: Path) -> None:
+        one, other = tmp_path / "run.toml", tmp_path / "campaign.toml"
+        one.write_text('gripper = "panda"\nobject = "mug"\n')
+        other.write_text('[[cross]]\ngripper = "panda"\nobject = "mug"\n')
+        assert (is_campaign(one), is_campaign(other)) == (False, True)
+
+
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
+def test_every_campaign_that_we_ship_can_be_carried_out_on_stand_ins(file, monkeypatch) -> None:
+    monkeypatch.setattr(ycb, "scan_source", lambda name: "absent")
+    found = read_campaign(file)
+    assert found.runs
+    assert not found.scans
+    assert all(NAME.fullmatch(name) for name in found.runs)
+
+
+BLOCK = (0.02, 0.03, 0.05)
+SAID = {"gripper": ["panda"], "method": None, "evaluations": 50}
+WATER, IN_MM = LibraryRules(density=1000.0), LibraryRules(density=1000.0, scale=0.001)
+
+
+@pytest.fixture
+def parts(tmp_path: Path) -> Path:
+    """A folder with two meshes in millimetres, and other files."""
+    folder = tmp_path / "my parts"
+    folder.mkdir()
+    for name in ("lever arm.stl", "Bügel.ply"):
+        trimesh.creation.box(BLOCK).apply_scale(1000).export(folder / name)
+    (folder / "README.txt").write_text("mine")
+    (folder / "part.mtl").write_text("newmtl none")
+    return folder
+
+
+def table(folder: Path, *lines: str) -> None:
+    (folder / "masses.csv").write_text("\n".join(("file,mass", *lines)), encoding="utf-8")
+
+
+def test_every_mesh_has_its_run_with_the_mass_that_the_table_or_its_volume_gives_it(parts):
+    table(parts, "lever arm.stl, 0.2")
+    runs = campaign_of_meshes(parts, IN_MM, SAID).runs
+    assert {name: (Path(spec.object).name, spec.mass, spec.scale) for name, spec in runs.items()} == {
+        "panda-b-gel-aimed-s0-physical": ("Bügel.ply", pytest.approx(0.03), 0.001),
+        "panda-lever-arm-aimed-s0-physical": ("lever arm.stl", 0.2, 0.001),
+    }
+    assert all(Path(spec.object).is_absolute() and spec.evaluations == 50 for spec in runs.values())
+
+
+def test_the_campaigns_file_asks_for_the_same_runs(parts, tmp_path):
+    asked = campaign_of_meshes(parts, LibraryRules(mass=0.4, scale=0.001), SAID)
+    file = tmp_path / "campaign.toml"
+    file.write_text(asked.toml, encoding="utf-8")
+    assert read_campaign(file).runs == asked.runs
+
+
+def test_meshes_are_grasped_to_hold_but_where_an_older_campaign_was_begun_without(parts, tmp_path):
+    new = campaign_of_meshes(parts, IN_MM, SAID)
+    assert {spec.protocol for spec in new.runs.values()} == {"physical"}
+    elder = campaign_of_meshes(parts, IN_MM, SAID, without={"protocol"})
+    (tmp_path / "campaign.toml").write_text(elder.toml, encoding="utf-8")
+    again = campaign_of_meshes(parts, IN_MM, SAID, without=defaults_left_out(tmp_path))
+    assert again.runs == elder.runs
+    assert {spec.protocol for spec in again.runs.values()} == {"paper"}
+
+
+def test_all_that_is_wrong_is_named_at_once(parts):
+    block = trimesh.creation.box(BLOCK)
+    trimesh.Trimesh(block.vertices, block.faces[1:], process=False).apply_scale(1000).export(
+        parts / "open.ply"
+    )
+    (parts / "empty.stl").touch()
+    block.apply_scale(1000).export(parts / "lever-arm.obj")
+    table(parts, "lever arm.stl,0", "lost.stl,1")
+    with pytest.raises(UnusableMeshes) as refused:
+        campaign_of_meshes(parts, LibraryRules(scale=0.001), SAID)
+    first, *others = str(refused.value).split("\n")
+    assert first.startswith("6 of 6 meshes cannot be used as they are, and nothing was begun; ")
+    told = dict(line.strip().split(": ", 1) for line in others)
+    assert told["open.ply"].startswith("it is not closed")
+    assert "is empty: the file has no bytes" in told["empty.stl"]
+    assert told["lever arm.stl"] == "its mass must be more than 0 and at most 1000 kg, got 0"
+    assert told["lever-arm.obj"].startswith("its runs would be called as those of 'lever arm.stl'")
+    assert told["Bügel.ply"].startswith("it has no mass; say what it weighs with --mass or --density")
+    assert told["lost.stl"] == "masses.csv names it, and there is no such mesh"
+
+
+def test_meshes_in_millimetres_are_told_with_the_flag_that_helps(parts):
+    with pytest.raises(UnusableMeshes, match=r"2 of 2 .*\n  .*add --units mm\n  .*add --units mm"):
+        campaign_of_meshes(parts, WATER, SAID)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "name,kg\n", "file,mass\nlever arm.stl\n", "file,mass\nlever arm.stl,heavy\n"]
+)
+def test_a_table_that_is_none_is_described(parts, text):
+    (parts / "masses.csv").write_text(text)
+    with pytest.raises(InputError, match=r"is no table of masses: it begins with the line `file,mass`"):
+        campaign_of_meshes(parts, IN_MM, SAID)
+
+
+def test_a_folder_without_a_mesh_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"There is no mesh in .*: name a folder of files such as \.stl"):
+        campaign_of_meshes(tmp_path, WATER, SAID)
+    with pytest.raises(InputError, match=r"There is no folder of meshes at '.*nowhere'"):
+        campaign_of_meshes(tmp_path / "nowhere", WATER, SAID)
+
+
+def cross(**objects: dict[str, object]) -> dict[str, object]:
+    return {"cross": [{"gripper": "panda", "object": ["mug", "bowl"]}], "objects": objects}
+
+
+def test_what_is_known_of_an_object_is_no_part_of_a_runs_name_and_comes_before_the_defaults():
+    source = cross(mug={"mass": 0.3, "friction": 0.7}) | {"defaults": {"mass": 0.1}}
+    runs = make_campaign(source, "c.toml").runs
+    assert {name: (spec.mass, spec.friction) for name, spec in runs.items()} == {
+        "panda-mug-aimed-s0": (0.3, 0.7),
+        "panda-bowl-aimed-s0-mass0_1": (0.1, None),
+    }
+
+
+def test_what_a_crossing_says_comes_before_what_is_known():
+    source = cross(mug={"mass": 0.3})
+    source["cross"][0]["mass"] = [0.1, 0.2]  # type: ignore[index]
+    assert [spec.mass for spec in make_campaign(source, "c.toml").runs.values()] == [0.1, 0.2, 0.1, 0.2]
+
+
+def test_what_is_known_of_no_object_is_refused():
+    with pytest.raises(InputError, match=r"says what is known of 'mugg', which no run grasps"):
+        make_campaign(cross(mugg={"mass": 0.3}), "c.toml")
+    with pytest.raises(
+        UnknownKey, match=r"objects\.'mug': unknown key 'weight'.* about, friction, mass, mesh, scale"
+    ):
+        make_campaign(cross(mug={"weight": 0.3}), "c.toml")
+
+
+def test_the_meshes_of_any_campaign_are_read_before_it_is_begun(parts):
+    whole = {"gripper": "panda", "object": [str(file) for file in sorted(parts.glob("*.[sp][tl]*"))]}
+
+    def check(**known: float) -> None:
+        crosses = [whole | known, {"gripper": "panda", "object": "mug"}]
+        check_meshes(make_campaign({"cross": crosses}, "c").runs.values())
+
+    check(scale=0.001, mass=0.1)
+    with pytest.raises(UnusableMeshes, match=r"^2 of 2 meshes"):
+        check(mass=0.1)
+    with pytest.raises(UnusableMeshes, match="has no mass"):
+        check(scale=0.001)

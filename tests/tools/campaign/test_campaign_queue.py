@@ -1,0 +1,215 @@
+"""Runs of a campaign on mesh files wait for their shapes, and are made once these are there."""
+
+from pathlib import Path
+
+import pytest
+import trimesh
+from msgspec import structs
+
+from qdgrasp_assets.object_shape import build_shape, pack_shape, shape_task
+from qdgrasp_coordinator.scheduler.run_plan import ShapesMissing, full_spec, prepare_scene
+from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.build_messages import split_payload
+from qdgrasp_protocol.errors import RunFailed
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.campaign.campaign_file import make_campaign
+from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue
+
+POSES = (((0.0, 0.0, 0.2), (0.0, 0.0, 0.0, 1.0)), ((0.0, 0.0, 0.2), (0.0, 0.0, 0.0, 0.0)))
+"""Places and quaternions of hands; the second is no rotation."""
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty cache folder."""
+    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> dict[str, RunSpec]:
+    """Two seeds on each of two boxes, and one run on an object of the catalog."""
+    meshes = []
+    for side in (0.04, 0.05):
+        meshes.append(str(tmp_path / f"box{1000 * side:.0f}.stl"))
+        trimesh.creation.box((side, side, 0.1)).export(meshes[-1])
+    crosses = [
+        {"gripper": "panda", "object": meshes, "mass": 0.1, "seed": [0, 1], "evaluations": 10},
+        {"gripper": "panda", "object": "tennis_ball", "evaluations": 10},
+    ]
+    return dict(make_campaign({"cross": crosses}, "test").runs)
+
+
+def files(wanted: WantedShape, folder: Path) -> Path:
+    """A folder with the files of a shape, as a worker has them."""
+    folder.mkdir(exist_ok=True)
+    for file, path in zip(wanted.task.files, wanted.paths.values(), strict=True):
+        (folder / file.name).write_bytes(path.read_bytes())
+    return folder
+
+
+def built(wanted: WantedShape, folder: Path) -> BuildReply:
+    """The answer of a worker."""
+    shape = build_shape(wanted.task, files(wanted, folder))
+    return BuildReply(wanted.task.key, split_payload(pack_shape(shape)))
+
+
+def open_all(queue: CampaignRunQueue) -> list[str]:
+    """The names of all runs that can be made now."""
+    names = []
+    try:
+        while plan := queue.next():
+            names.append(plan.run)
+    except ShapesMissing:
+        pass
+    return names
+
+
+def test_each_shape_is_wanted_once_and_runs_that_need_none_go_first(runs: dict[str, RunSpec]) -> None:
+    queue = CampaignRunQueue(None, runs)
+    wanted = queue.wanted_shapes(10)
+    assert wanted.is_last
+    assert [shape.mesh.name for shape in wanted.shapes] == ["box40.stl", "box50.stl"]
+    assert open_all(queue) == ["panda-tennis_ball-aimed-s0"]
+    assert not queue.wanted_shapes(10).shapes
+
+
+def test_runs_are_made_with_the_scene_that_this_machine_would_build(runs, tmp_path) -> None:
+    queue = CampaignRunQueue(None, runs)
+    for wanted in queue.wanted_shapes(10).shapes:
+        assert queue.take_shape(built(wanted, tmp_path / "worker")) is None
+    assert queue.ready_runs == 5
+    scenes = {}
+    while plan := queue.next():
+        scenes[plan.run] = plan.bundle.digest
+    assert scenes == {name: prepare_scene(spec).bundle.digest for name, spec in runs.items()}
+
+
+def test_no_more_shapes_are_looked_for_than_are_asked_for(runs: dict[str, RunSpec]) -> None:
+    queue = CampaignRunQueue(None, runs)
+    first = queue.wanted_shapes(1)
+    assert len(first.shapes) == 1
+    assert not first.is_last
+    assert len(queue.wanted_shapes(1).shapes) == 1
+
+
+def test_more_shapes_are_looked_for_however_many_runs_lie_ready(runs: dict[str, RunSpec]) -> None:
+    first = dict(reversed(runs.items()))  # the run that needs no shape, then those that do
+    queue = CampaignRunQueue(None, first)
+    assert not queue.wanted_shapes(1).shapes
+    assert queue.ready_runs == 1
+    assert len(queue.wanted_shapes(1).shapes) == 1
+
+
+def test_shapes_that_are_likely_to_be_needed_are_expected(runs: dict[str, RunSpec], tmp_path: Path) -> None:
+    queue = CampaignRunQueue(None, runs)
+    assert queue.expected_shapes == 0.0  # nothing was looked at
+    (first,) = queue.wanted_shapes(1).shapes
+    assert queue.expected_shapes == 1.0  # the one that was looked at had to be built
+    queue.wanted_shapes(10)
+    assert queue.expected_shapes == 0.0
+    queue.take_shape(built(first, tmp_path / "worker"))
+    again = CampaignRunQueue(None, runs)
+    assert not again.wanted_shapes(0).shapes
+    again.next()
+    assert again.expected_shapes == 0.0  # the one that was looked at lies in the store
+
+
+def test_a_shape_that_lies_in_the_store_is_not_wanted_again(runs: dict[str, RunSpec], tmp_path: Path) -> None:
+    before = CampaignRunQueue(None, runs)
+    for wanted in before.wanted_shapes(10).shapes:
+        before.take_shape(built(wanted, tmp_path / "worker"))
+    again = CampaignRunQueue(None, runs)
+    assert not again.wanted_shapes(10).shapes
+    assert sorted(open_all(again)) == sorted(runs)
+
+
+def test_the_runs_of_a_shape_that_cannot_be_built_fail_and_the_others_are_made(runs, tmp_path) -> None:
+    queue = CampaignRunQueue(None, runs)
+    bad, good = queue.wanted_shapes(10).shapes
+    queue.take_shape(BuildReply(bad.task.key, reason="it burst"))
+    queue.take_shape(built(good, tmp_path / "worker"))
+    failed = []
+    for _ in range(2):
+        with pytest.raises(RunFailed, match="The shape of its object cannot be built: it burst") as failure:
+            queue.next()
+        failed.append(failure.value.run)
+    assert failed == [name for name in runs if "box40" in name]
+    assert [queue.object_of(name) for name in failed] == [runs[name].object for name in failed]
+    assert sorted([*failed, *open_all(queue)]) == sorted(runs)
+
+
+@pytest.mark.parametrize("pieces", [(), (b"no shape",), split_payload(b"no shape")])
+def test_a_shape_that_no_worker_gives_is_built_here(runs, pieces) -> None:
+    queue = CampaignRunQueue(None, runs)
+    warnings = [queue.take_shape(BuildReply(one.task.key, pieces)) for one in queue.wanted_shapes(10).shapes]
+    if pieces:
+        assert all(warning and "is left aside" in warning.words for warning in warnings)
+    else:
+        assert warnings == [None, None]
+    assert sorted(open_all(queue)) == sorted(runs)
+
+
+def test_a_shape_of_coarse_parts_is_warned_of(runs: dict[str, RunSpec], tmp_path: Path) -> None:
+    queue = CampaignRunQueue(None, runs)
+    wanted, _ = queue.wanted_shapes(10).shapes
+    shape = build_shape(wanted.task, files(wanted, tmp_path / "worker"))
+    coarse = structs.replace(shape, collision_source="own hull: CoACD took more than 120 s")
+    warning = queue.take_shape(BuildReply(wanted.task.key, split_payload(pack_shape(coarse))))
+    assert warning is not None
+    assert warning.words.startswith("'box40.stl': its convex parts are not as fine as they should be (own ")
+
+
+def test_the_task_of_a_shape_follows_from_the_content_of_the_mesh_alone(runs, tmp_path) -> None:
+    spec = next(iter(runs.values()))
+    copy = tmp_path / "elsewhere" / "other.stl"
+    copy.parent.mkdir()
+    copy.write_bytes(Path(spec.object).read_bytes())
+    task, other = shape_task(spec), shape_task(RunSpec(gripper="panda", object=str(copy), mass=3.0))
+    assert task is not None
+    assert task == other
+
+
+def test_poses_that_the_hand_cannot_take_fail_their_run_alone_and_leave_no_folder(tmp_path: Path) -> None:
+    asked = {"gripper": "panda", "object": "tennis_ball", "method": "given", "evaluations": 1}
+    good, bad = ({**asked, "poses": [[*place, *turn]]} for place, turn in POSES)
+    specs = {name: full_spec(values) for name, values in (("a", good), ("b", bad), ("c", good))}
+    folder = JobFolder.create(tmp_path / "campaign", "campaign")
+    queue = CampaignRunQueue(folder, specs)
+    assert queue.next().run == "a"
+    with pytest.raises(RunFailed, match="of length zero"):
+        queue.next()
+    assert open_all(queue) == ["c"]
+    assert not folder.run_path("b").exists()
+    RunFolder.add(folder, "b", specs["b"], prepare_scene(specs["a"]).bundle)
+    with pytest.raises(RunFailed, match="of length zero"):
+        CampaignRunQueue(folder, {"b": specs["b"]}).next()
+
+
+def test_without_a_home_runs_on_meshes_fail_and_the_others_are_made(runs, monkeypatch) -> None:
+    monkeypatch.setenv("QDGRASP_CACHE", "~nobody-of-that-name/cache")
+    queue, failed = CampaignRunQueue(None, runs), []
+    while True:
+        try:
+            plan = queue.next()
+        except RunFailed as failure:
+            failed.append(str(failure))
+        else:
+            if plan is None:
+                break
+            assert plan.run == "panda-tennis_ball-aimed-s0"
+    assert len(failed) == 4
+    assert all("no home folder" in words for words in failed)
+
+
+def test_a_backslash_in_the_name_of_a_mesh_is_part_of_the_reason(tmp_path: Path) -> None:
+    mesh = tmp_path / r"parts\gear.stl"
+    trimesh.creation.box((0.04, 0.04, 0.1)).export(mesh)
+    asked = {"cross": [{"gripper": "panda", "object": str(mesh), "mass": 0.1, "evaluations": 10}]}
+    queue = CampaignRunQueue(None, make_campaign(asked, "test").runs)
+    (wanted,) = queue.wanted_shapes(1).shapes
+    queue.take_shape(BuildReply(wanted.task.key, reason="The mesh 'mesh.stl' is flat."))
+    with pytest.raises(RunFailed, match=r"The mesh 'parts\\gear\.stl' is flat"):
+        queue.next()

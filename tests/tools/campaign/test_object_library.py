@@ -1,0 +1,343 @@
+"""Libraries of objects: manifests, folders in folders, what is left out, and what is remembered."""
+
+import csv
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pytest
+import tomli_w
+import trimesh
+from pyarrow import parquet
+from typer.testing import CliRunner
+
+from qdgrasp_assets import mesh_check, object_model
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_protocol.build_messages import MeshPreparation
+from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes
+from qdgrasp_protocol.keys import NAME
+from qdgrasp_protocol.spec import ObjectRecord
+from qdgrasp_tools.campaign.campaign_file import (
+    Campaign,
+    campaign_of_meshes,
+    check_meshes,
+    make_campaign,
+    read_campaign,
+)
+from qdgrasp_tools.campaign.campaign_folder import begin_campaign, campaign_summary
+from qdgrasp_tools.campaign.object_library import LibraryRules, is_manifest, read_library
+from qdgrasp_tools.cli.main import app
+
+BLOCK = (0.02, 0.03, 0.05)
+VALUES = {"gripper": ["panda"], "evaluations": 50}
+SKIPPING = LibraryRules(skip_unusable=True)
+ROWS: list[dict[str, Any]] = [
+    {"file": "a/part.stl", "id": "acme/part one", "unit": "mm", "density": 1000, "category": "bracket",
+     "licence": "CC-BY-4.0", "source": "acme 1.2", "split": "test", "friction": 0.7},
+    {"file": "b/part.stl", "mass": 0.25, "simplify": 100, "hull": True},
+]  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Path:
+    """A folder with two meshes of one name in folders of it, the first in millimetres."""
+    folder = tmp_path / "library"
+    for name, size in (("a", 1000), ("b", 1)):
+        (folder / name).mkdir(parents=True)
+        trimesh.creation.box(BLOCK).apply_scale(size).export(folder / name / "part.stl")
+    return folder
+
+
+def write_manifest(path: Path, rows: list[dict[str, Any]] = ROWS) -> Path:
+    if path.suffix == ".toml":
+        path.write_text(tomli_w.dumps({"object": rows}))
+    elif path.suffix == ".parquet":
+        names = list(dict.fromkeys(key for row in rows for key in row))
+        parquet.write_table(pa.table({name: [row.get(name) for row in rows] for name in names}), path)
+    else:
+        with path.open("w", newline="") as file:
+            table = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
+            table.writeheader()
+            table.writerows(rows)
+    return path
+
+
+def break_mesh(path: Path) -> None:
+    block = trimesh.creation.box(BLOCK)
+    trimesh.Trimesh(block.vertices, block.faces[1:], process=False).export(path)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".toml", ".parquet"])
+def test_a_manifest_says_the_same_in_any_format(library, suffix):
+    manifest = write_manifest(library / f"objects{suffix}")
+    assert is_manifest(manifest)
+    one, other = campaign_of_meshes(manifest, LibraryRules(), VALUES).runs.values()
+    assert (one.object, one.scale, one.mass) == (str(library / "a/part.stl"), 0.001, pytest.approx(0.03))
+    assert (one.friction, one.mesh) == (0.7, None)
+    assert one.about == ObjectRecord(
+        id="acme/part one", category="bracket", licence="CC-BY-4.0", source="acme 1.2", split="test"
+    )
+    assert (other.mass, other.scale, other.about) == (0.25, None, ObjectRecord(id="b/part"))
+    assert other.mesh == MeshPreparation(simplify=100, hull=True)
+
+
+def test_runs_are_called_after_the_ids_and_the_campaigns_file_asks_for_the_same(library, tmp_path):
+    asked = campaign_of_meshes(write_manifest(library / "objects.csv"), LibraryRules(), VALUES)
+    assert list(asked.runs) == ["panda-acme-part-one-aimed-s0-physical", "panda-b-part-aimed-s0-physical"]
+    assert all(NAME.fullmatch(name) for name in asked.runs)
+    file = tmp_path / "campaign.toml"
+    file.write_text(asked.toml)
+    assert read_campaign(file).runs == asked.runs
+
+
+def test_a_campaigns_file_names_a_manifest_as_an_object(library, tmp_path):
+    manifest, file = write_manifest(library / "objects.csv"), tmp_path / "campaign.toml"
+    cross = {"gripper": ["panda", "allegro"], "object": [str(manifest), "mug"], "evaluations": 50}
+    file.write_text(tomli_w.dumps({"cross": [cross]}))
+    runs = read_campaign(file).runs
+    assert len(runs) == 6
+    alone = campaign_of_meshes(manifest, LibraryRules(), VALUES | {"protocol": "paper"}).runs
+    assert all(runs[name] == spec for name, spec in alone.items())
+
+
+def test_the_scene_says_what_the_manifest_says_and_what_was_done_with_the_mesh(library):
+    one, other = campaign_of_meshes(
+        write_manifest(library / "objects.csv"), LibraryRules(), VALUES
+    ).runs.values()
+    found = build_scene(one).object
+    assert (found.name, found.licence) == ("acme/part one", "CC-BY-4.0")
+    assert found.source == "acme 1.2: part.stl (scale 0.001)"
+    assert build_scene(other).object.source == "part.stl (convex hull, simplified to 100 triangles)"
+
+
+def test_folders_in_a_folder_are_read_and_their_meshes_named_by_their_path(library):
+    trimesh.creation.box(BLOCK).export(library / "top.obj")
+    (library / "masses.csv").write_text("file,mass\nb/part.stl,0.2\n")
+    shutil.copy(library / "b" / "part.stl", library / "a" / "part.stl")
+    runs = campaign_of_meshes(library, LibraryRules(mass=0.1), VALUES).runs
+    assert {name: spec.mass for name, spec in runs.items()} == {
+        "panda-a-part-aimed-s0-physical": 0.1,
+        "panda-b-part-aimed-s0-physical": 0.2,
+        "panda-top-aimed-s0-physical": 0.1,
+    }
+    assert runs["panda-top-aimed-s0-physical"].about is None
+
+
+def test_flags_are_for_rows_that_do_not_say_otherwise(library):
+    rules = LibraryRules(mass=1.0, mesh=MeshPreparation(glued=True))
+    rows = [ROWS[0] | {"density": "", "mass": ""}, ROWS[1]]
+    one, other = campaign_of_meshes(write_manifest(library / "o.csv", rows), rules, VALUES).runs.values()
+    assert (one.mass, one.mesh) == (1.0, MeshPreparation(glued=True))
+    assert (other.mass, other.mesh) == (0.25, MeshPreparation(simplify=100, hull=True))
+
+
+BAD_ROWS = [
+    ({"file": "lost.stl", "mass": 1}, "No mesh file at"),
+    ({"file": "a/part.stl", "mass": 1}, "is 20 x 30 x 50 m large"),
+    ({"file": "b/part.stl"}, "it has no mass"),
+    ({"file": "b/part.stl", "mass": "heavy"}, "its mass must be a number, got 'heavy'"),
+    ({"file": "b/part.stl", "mass": 1, "density": 2}, "says mass and density"),
+    ({"file": "b/part.stl", "mass": 1, "unit": "ell"}, "unit"),
+    ({"file": "b/part.stl", "mass": 1, "simplify": "1.5"}, "its simplify must be a whole number"),
+    ({"file": "b/part.stl", "mass": 1, "hull": "perhaps"}, "its hull must be true or false"),
+    ({"file": "b/part.stl", "mass": 1, "friction": -1}, "friction must be a number greater than 0"),
+    ({"file": "b/part.stl", "mass": 5000}, "at most 1000 kg"),
+]
+
+
+def test_each_mesh_is_told_before_it_is_checked(library):
+    rows = [{"file": "b/part.stl", "mass": 0.1}, {"file": "b/part2.stl", "mass": 0.1}]
+    shutil.copy(library / "b" / "part.stl", library / "b" / "part2.stl")
+    told: list[str] = []
+    manifest = write_manifest(library / "objects.csv", rows)
+    specs = campaign_of_meshes(manifest, LibraryRules(), VALUES, tell=told.append).runs.values()
+    assert told == ["checking meshes: 1 of 2", "checking meshes: 2 of 2"]
+    check_meshes(specs, told.append)
+    assert told[2:] == told[:2]
+
+
+@pytest.mark.parametrize(("row", "words"), BAD_ROWS)
+def test_a_row_that_cannot_be_used_is_named_or_left_out(library, row, words):
+    good = {"file": "b/../b/part2.stl", "mass": 0.1}
+    shutil.copy(library / "b" / "part.stl", library / "b" / "part2.stl")
+    manifest = write_manifest(library / "objects.csv", [row | {"id": "bad"}, good])
+    with pytest.raises(UnusableMeshes, match=r"1 of 2 meshes") as refused:
+        read_library(manifest, LibraryRules())
+    assert words in str(refused.value)
+    found = read_library(manifest, SKIPPING)
+    assert list(found.objects) == [str(library / "b" / "part2.stl")]
+    (skipped,) = found.skipped
+    assert (skipped.object, words in f"{skipped.reason}; {skipped.mend}") == ("bad", True)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "error", "words"),
+    [
+        ("o.csv", "file,weight\nb/part.stl,1\n", UnknownKey, "unknown key 'weight'"),
+        ("o.csv", "file,mass\n", InputError, "names no object"),
+        ("o.csv", "", InputError, "names no object"),
+        ("o.csv", f'file\n"{"a" * 140_000}', InputError, "cannot be read: field larger than field limit"),
+        ("o.csv", "id,mass\none,1\n", InputError, "says no file in row 1"),
+        ("o.csv", "file\nb/part.stl,1\n", InputError, "line 2 has 2 cells"),
+        ("o.csv", b"file\n\xff\xfe\n", InputError, "cannot be read"),
+        ("o.toml", "object = [1]\n", InputError, "each object is a table"),
+        ("o.toml", "seed = 1\n[[object]]\nfile = 'x.stl'\n", UnknownKey, "seed"),
+        ("o.parquet", b"PAR1 and no more", InputError, "cannot be read"),
+        ("lost.csv", None, InputError, "cannot be read: No such file"),
+    ],
+)
+def test_a_manifest_that_is_none_is_one_sentence(library, name, content, error, words):
+    if content is not None:
+        (library / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(error, match=words):
+        read_library(library / name, SKIPPING)
+
+
+def test_two_rows_of_one_file_or_one_name_are_refused(library):
+    again = [
+        *ROWS,
+        {"file": "b/part.stl", "id": "c", "mass": 1},
+        {"file": "c.stl", "id": "b part", "mass": 1},
+    ]
+    with pytest.raises(UnusableMeshes) as refused:
+        read_library(write_manifest(library / "objects.csv", again), LibraryRules())
+    assert "its file is that of 'b/part' too" in str(refused.value)
+    assert "would be called as those of 'b/part'" in str(refused.value)
+
+
+def test_of_rows_of_one_id_the_first_is_used_and_the_others_are_named_by_their_files(library):
+    trimesh.creation.box(BLOCK).export(library / "b" / "part.obj")
+    rows = [{"file": f"b/part.{end}", "mass": mass} for end, mass in (("stl", 1), ("stl", 2), ("obj", 3))]
+    manifest = write_manifest(library / "objects.csv", rows)
+    with pytest.raises(UnusableMeshes, match="2 of 3 meshes") as refused:
+        read_library(manifest, LibraryRules())
+    for name in ("b/part (row 2, part.stl): its file is", "b/part (row 3, part.obj): its runs would"):
+        assert name in str(refused.value)
+    asked = campaign_of_meshes(manifest, SKIPPING, VALUES)
+    assert [(spec.object, spec.mass) for spec in asked.runs.values()] == [
+        (str(library / "b" / "part.stl"), 1)
+    ]
+    assert [each.object for each in asked.skipped] == ["b/part (row 2, part.stl)", "b/part (row 3, part.obj)"]
+
+
+def test_nothing_is_skipped_where_nothing_would_be_left(library):
+    rows = [{"file": "lost.stl", "mass": 1}]
+    with pytest.raises(UnusableMeshes, match="1 of 1"):
+        read_library(write_manifest(library / "objects.csv", rows), SKIPPING)
+
+
+def test_bodies_that_are_apart_are_taken_where_they_are_said_to_be_glued(library):
+    blocks = [trimesh.creation.box(BLOCK).apply_translation((shift, 0, 0)) for shift in (0, 0.1)]
+    trimesh.util.concatenate(blocks).export(library / "b" / "part.stl")
+    rows = [{"file": "b/part.stl", "mass": 1}]
+    with pytest.raises(UnusableMeshes, match="air between them"):
+        read_library(write_manifest(library / "objects.csv", rows), LibraryRules())
+    manifest = write_manifest(library / "objects.csv", [rows[0] | {"glued": "yes"}])
+    (spec,) = campaign_of_meshes(manifest, LibraryRules(), VALUES).runs.values()
+    assert build_scene(spec).object.source == "part.stl (glued)"
+
+
+def test_a_second_start_checks_no_mesh_again_unless_its_content_or_the_code_changed(library, monkeypatch):
+    read = list[Path]()
+
+    def reading(path: Path, *given: Any, **named: Any) -> object_model.ObjectDraft:
+        read.append(path)
+        return object_model.read_draft(path, *given, **named)
+
+    monkeypatch.setattr(mesh_check, "read_draft", reading)
+    break_mesh(library / "b" / "broken.stl")
+    manifest = write_manifest(library / "o.csv", [*ROWS, {"file": "b/broken.stl", "mass": 1}])
+    first = read_library(manifest, SKIPPING)
+    assert len(read) == 3
+    assert read_library(manifest, SKIPPING) == first
+    assert len(read) == 3
+    shutil.move(library / "b" / "part.stl", library / "moved.stl")
+    check_meshes(
+        make_campaign(
+            {"cross": [{"gripper": "panda", "object": str(library / "moved.stl"), "mass": 1}]}, "c"
+        ).runs.values()
+    )
+    assert len(read) == 4  # other changes are asked for: it may have bodies that are apart
+    shutil.copy(library / "moved.stl", library / "b" / "part.stl")
+    assert read_library(manifest, SKIPPING) == first
+    assert len(read) == 4
+    trimesh.creation.box((0.02, 0.02, 0.02)).export(library / "b" / "part.stl")
+    read_library(manifest, SKIPPING)
+    assert len(read) == 5
+    monkeypatch.setattr(mesh_check, "checking_code", lambda: "another")
+    read_library(manifest, SKIPPING)
+    assert len(read) == 8
+
+
+def test_an_entry_that_is_damaged_is_made_again(library, cache):
+    manifest = write_manifest(library / "objects.csv")
+    first = read_library(manifest, LibraryRules())
+    entries = list((cache / "checked").iterdir())
+    assert len(entries) == 2
+    for entry in entries:
+        entry.write_bytes(b"{")
+    assert read_library(manifest, LibraryRules()) == first
+    assert all(json.loads(entry.read_bytes())["volume"] > 0 for entry in entries)
+
+
+def asked_for(manifest: Path) -> Campaign:
+    return campaign_of_meshes(manifest, SKIPPING, VALUES)
+
+
+def test_what_is_left_out_is_reported_in_the_folder_and_counted(library, tmp_path):
+    break_mesh(library / "b" / "broken.stl")
+    rows = [*ROWS, {"file": "b/broken.stl", "mass": 1}, {"file": "lost.stl", "id": "lost", "mass": 1}]
+    asked, folder = asked_for(write_manifest(library / "o.csv", rows)), tmp_path / "campaign"
+    assert "2 objects left out that cannot be used" in asked.words
+    begin_campaign(folder, asked)
+    with (folder / "skipped.csv").open(newline="") as file:
+        broken, lost = csv.DictReader(file)
+    assert (broken["object"], broken["file"]) == ("b/broken", str(library / "b" / "broken.stl"))
+    assert broken["reason"].startswith("it is not closed")
+    assert "--remesh or --hull" in broken["mend"]
+    assert lost["object"] == "lost"
+    assert lost["reason"].endswith("lost.stl': it does not exist")
+    found = campaign_summary(JobFolder(folder))
+    assert (found.runs, found.runs_done, found.objects, found.skipped) == (2, 0, 2, 2)
+    assert json.loads(CliRunner().invoke(app, ["info", str(folder), "--json"]).stdout)["skipped"] == 2
+    shutil.copy(library / "a" / "part.stl", library / "b" / "broken.stl")
+    rows[2]["scale"] = 0.001
+    begin_campaign(folder, asked_for(write_manifest(library / "o.csv", rows)))  # mended: it grows
+    assert (campaign_summary(JobFolder(folder)).runs, campaign_summary(JobFolder(folder)).skipped) == (3, 1)
+    begin_campaign(folder, read_campaign(folder / "campaign.toml"))  # which examines no library
+    assert campaign_summary(JobFolder(folder)).skipped == 1
+
+
+def test_the_command_takes_a_manifest_and_nothing_is_begun_without_leave(library, tmp_path):
+    break_mesh(library / "b" / "broken.stl")
+    manifest = write_manifest(library / "o.csv", [*ROWS, {"file": "b/broken.stl", "mass": 1}])
+    flags = ["campaign", str(manifest), "--gripper", "panda", "--evaluations", "50", "--list"]
+    assert isinstance(CliRunner().invoke(app, flags).exception, UnusableMeshes)
+    listed = CliRunner().invoke(app, [*flags, "--skip-unusable"])
+    assert listed.exit_code == 0
+    assert "left out: b/broken: it is not closed" in listed.stdout
+    mended = CliRunner().invoke(app, [*flags, "--remesh"])
+    assert mended.exit_code == 0
+    assert "3 runs" in mended.stdout
+    assert "give one of them" in str(CliRunner().invoke(app, [*flags, "--remesh", "--hull"]).exception)
+
+
+def test_a_check_that_fails_is_a_fault_of_the_mesh_and_not_remembered(library, monkeypatch):
+    def failing(*_given: Any) -> object_model.ObjectDraft:
+        raise ZeroDivisionError("by nothing")
+
+    manifest = write_manifest(library / "objects.csv", ROWS[1:])
+    with monkeypatch.context() as context:
+        context.setattr(mesh_check, "read_draft", failing)
+        with pytest.raises(UnusableMeshes, match="ZeroDivisionError: by nothing"):
+            read_library(manifest, LibraryRules())
+    assert len(read_library(manifest, LibraryRules()).objects) == 1

@@ -1,0 +1,314 @@
+"""The table of a campaign's objects: states, sums, and why some got little."""
+
+import csv
+import io
+from typing import Any
+
+import pytest
+from msgspec import structs
+from tests.tools.monitor.sample_jobs import event
+
+from qdgrasp_coordinator.metrics.job_status import MOST_NAMES, ObjectListing
+from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
+from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.spec import ObjectRecord, RunSpec
+from qdgrasp_tools.campaign.object_library import SkippedObject
+from qdgrasp_tools.campaign.object_table import (
+    SORT_KEYS,
+    ObjectRun,
+    count_states,
+    least_objects,
+    list_objects,
+    main_loss,
+    object_quantiles,
+    select_objects,
+    table_lines,
+    to_csv,
+    with_events,
+)
+
+BUDGET = 4000
+
+
+def totals(**counts: int) -> RunTotals:
+    return structs.replace(NO_TOTALS, **({"evaluations": BUDGET, "simulated": BUDGET} | counts))
+
+
+GOOD = totals(successes=2000, grasps=1000, robust=500, cells=200)
+
+
+def run(object_: str = "mug", hand: str = "panda", seed: int = 0, **more: Any) -> ObjectRun:
+    """A finished run that found much, unless `more` says otherwise; `spec` are more values of its spec."""
+    spec = RunSpec(gripper=hand, object=object_, seed=seed, evaluations=BUDGET, **more.pop("spec", {}))
+    made = ObjectRun(f"{hand}-{object_.rpartition('/')[2]}-s{seed}", spec, GOOD, is_done=True)
+    return made._replace(**more)
+
+
+def waiting(object_: str = "mug", **more: Any) -> ObjectRun:
+    return run(object_, totals=None, is_done=False, **more)
+
+
+def one(*runs: ObjectRun, **more: Any) -> ObjectListing:
+    (listing,) = list_objects(runs, **more)
+    return listing
+
+
+def many(**named: RunTotals) -> dict[str, ObjectListing]:
+    """Objects with one finished run each, by name, beside three that got much."""
+    counts = {"a": GOOD, "b": GOOD, "c": GOOD} | named
+    return {each.object: each for each in list_objects(run(name, totals=one) for name, one in counts.items())}
+
+
+def test_the_runs_of_an_object_are_added_up() -> None:
+    half = structs.replace(GOOD, evaluations=BUDGET // 2, errors=3)
+    found = one(run(), run(hand="allegro", totals=half, is_done=False), waiting(seed=1))
+    assert (found.evaluations, found.cells, found.errors) == (6000, 400, 3)
+    assert (found.runs, found.runs_done, found.state, found.hands) == (3, 1, "running", ["panda", "allegro"])
+    assert found.success_share == pytest.approx(4000 / 6000)
+    assert found.grasps == 2000
+    assert found.names == ["panda-mug-s0", "allegro-mug-s0", "panda-mug-s1"]
+
+
+def test_objects_come_in_the_order_of_their_runs_and_those_left_out_behind() -> None:
+    left_out = [SkippedObject("torn", "/lib/torn.stl", "it is not closed", "--remesh or --hull")]
+    found = list_objects([run("b"), run("a"), run("b", hand="allegro")], left_out)
+    assert [each.object for each in found] == ["b", "a", "torn"]
+    assert (found[2].state, found[2].file, found[2].runs) == ("skipped", "/lib/torn.stl", 0)
+    assert found[2].note == "left out: it is not closed; mend: --remesh or --hull"
+    assert list_objects([], [SkippedObject("x", "", "its row says no mass", "")])[0].note == (
+        "left out: its row says no mass"
+    )
+
+
+def test_an_object_is_called_as_its_library_calls_it() -> None:
+    about = ObjectRecord(id="cup-7", category="cup")
+    named = one(run("/lib/0007.stl", spec={"about": about, "mass": 1.0}))
+    assert (named.object, named.file, named.category) == ("cup-7", "/lib/0007.stl", "cup")
+    assert one(run("/lib/0007.stl", spec={"mass": 1.0})).object == "0007"
+    assert one(run("ycb_mug")).object == "ycb_mug"
+
+
+@pytest.mark.parametrize(
+    ("runs", "state"),
+    [
+        ([waiting()], "waiting"),
+        ([waiting(), run(seed=1, totals=NO_TOTALS, is_done=False)], "running"),
+        ([run(), waiting(seed=1)], "running"),
+        ([run(), run(seed=1)], "done"),
+    ],
+)
+def test_the_state_of_an_object_follows_from_its_runs(runs: list[ObjectRun], state: str) -> None:
+    assert one(*runs).state == state
+
+
+def test_of_many_runs_the_first_are_named() -> None:
+    found = one(*[waiting(seed=n) for n in range(MOST_NAMES)], run(seed=99))
+    assert (len(found.names), found.names[0]) == (MOST_NAMES, "panda-mug-s99")
+
+
+OVERLAPPING = totals(simulated=100, overlaps=3900)
+NO_POSES = totals(simulated=0, dead_ends=4000)
+UNTOUCHED = totals(successes=3, grasps=3, cells=2)
+DROPPED = totals(successes=3800, cells=150)
+ERRORS = totals(simulated=0, errors=4000)
+NARROW = totals(successes=2000, grasps=1000, cells=4)
+
+
+@pytest.mark.parametrize(
+    ("found", "reason"),
+    [
+        (OVERLAPPING, "no grasp: the open hand overlaps it in 3900 of 4000 poses"),
+        (NO_POSES, "no grasp: 4000 of 4000 genomes led to no pose"),
+        (UNTOUCHED, "few grasps: 3 of 4000 simulations touched it"),
+        (DROPPED, "no grasp: it was dropped in 3800 of 3800 successes"),
+        (ERRORS, "no grasp: the simulator failed on 4000 of 4000 rows"),
+        (NARROW, "few cells: 2000 successes in 4 cells"),
+        (NO_TOTALS, f"no grasp: no row is recorded; ended early, after 0 of {BUDGET} evaluations"),
+        (GOOD, ""),
+    ],
+)
+def test_an_object_that_got_little_says_why(found: RunTotals, reason: str) -> None:
+    assert many(x=found)["x"].little == reason
+    assert [each.object for each in many(x=found).values() if each.little] == (["x"] if reason else [])
+
+
+def test_a_tenth_of_the_median_is_the_border() -> None:
+    few = totals(successes=2000, grasps=99, cells=200)
+    assert many(x=few)["x"].little.startswith("few grasps")
+    assert not many(x=structs.replace(few, grasps=100))["x"].little
+    assert not many(x=structs.replace(few, grasps=100, cells=20))["x"].little
+    assert many(x=structs.replace(few, grasps=100, cells=19))["x"].little.startswith("few cells")
+
+
+def test_where_all_got_nothing_all_got_little() -> None:
+    assert all(each.little for each in list_objects([run("a", totals=DROPPED), run("b", totals=DROPPED)]))
+
+
+def test_an_object_is_judged_by_its_finished_runs_alone() -> None:
+    """Of three runs one is over: what the others have got so far does not count against it."""
+    begun = run("x", seed=1, totals=totals(evaluations=10), is_done=False)
+    assert not list_objects([run("a"), run("b"), run("x"), begun, waiting("x", seed=2)])[2].little
+    assert not list_objects([run("a"), run("x", totals=OVERLAPPING, is_done=False)])[1].little
+
+
+def test_more_runs_are_no_more_grasps() -> None:
+    """Each finished run of the many counts as one."""
+    half = structs.replace(GOOD, grasps=60, cells=200)
+    found = list_objects([run("a"), run("b"), *(run("x", seed=n, totals=half) for n in range(4))])
+    assert found[2].grasps == 240
+    assert found[2].little.startswith("few grasps")
+
+
+def test_a_run_that_ended_early_says_so() -> None:
+    early = structs.replace(OVERLAPPING, evaluations=1200, overlaps=1100)
+    assert many(x=early)["x"].little == (
+        "no grasp: the open hand overlaps it in 1100 of 1200 poses; ended early, after 1200 of 4000 "
+        "evaluations"
+    )
+
+
+def test_an_object_of_which_no_more_cells_are_found_is_saturated() -> None:
+    early = structs.replace(GOOD, evaluations=1200)
+    goal = {"spec": {"no_new_cell": 500}}
+    assert one(run(totals=early, **goal)).warnings == [
+        "saturated: the last 500 evaluations found no new cell"
+    ]
+    assert not one(run(**goal)).warnings  # its budget is spent
+    assert not one(run(totals=early)).warnings  # there was no such goal
+    assert not one(run(totals=early, **goal), waiting(seed=1, **goal)).warnings
+    assert not one(run(totals=structs.replace(OVERLAPPING, evaluations=500), **goal)).warnings
+
+
+def test_the_greatest_loss_is_named() -> None:
+    mixed = totals(simulated=2000, dead_ends=500, overlaps=1500, successes=1990, grasps=990)
+    assert main_loss(mixed) == "the open hand overlaps it in 1500 of 4000 poses"
+    assert main_loss(structs.replace(mixed, grasps=1)) == "it was dropped in 1989 of 1990 successes"
+
+
+def warning(words: str = "It is coarse.", file: str = "a", number: int = 1, **more: Any) -> Any:
+    return event(number, words, **({"kind": "warning", "object": file} | more))
+
+
+def test_a_shape_with_a_fault_is_a_warning_at_its_object() -> None:
+    before = list_objects([run("a"), run("b")])
+    found = with_events(before, [warning(), warning(number=2), warning("Lost.", file="c")])
+    assert (found[0].warnings, found[1].warnings) == (["It is coarse."], [])
+
+
+def failure(number: int, words: str, run: str) -> Any:
+    return event(number, words, kind="error", run=run, object="a")
+
+
+def test_a_run_that_fails_is_told_at_its_object() -> None:
+    before = list_objects([waiting("a"), waiting("a", hand="allegro"), waiting("b")])
+    found = with_events(before, [failure(n, "It has no parts.", "panda-a-s0") for n in (1, 2)])
+    assert (found[0].runs_failed, found[0].state, found[0].warnings) == (1, "waiting", ["It has no parts."])
+    both = with_events(
+        found, [failure(3, "No parts.", "panda-a-s0"), failure(4, "No parts.", "allegro-a-s0")]
+    )
+    assert (both[0].state, both[0].runs_failed, both[1].state) == ("failed", 2, "waiting")
+    over = with_events(list_objects([run("a"), waiting("a", seed=1)]), [failure(1, "No.", "panda-a-s1")])
+    assert over[0].state == "done"
+
+
+def test_every_run_of_many_that_fails_is_counted() -> None:
+    before = list_objects([waiting("a", seed=n) for n in range(MOST_NAMES + 8)])
+    events = [failure(n, "It has no parts.", f"panda-a-s{n}") for n in range(MOST_NAMES + 8)]
+    (found,) = with_events(before, events)
+    assert (found.runs_failed, found.state, found.warnings) == (40, "failed", ["It has no parts."])
+
+
+def test_a_row_that_is_given_up_fails_no_run() -> None:
+    before = list_objects([run("a", is_done=False)])
+    assert with_events(before, [event(1, "A row.", kind="error", run="panda-a-s0", worker="1f")]) == before
+
+
+def test_an_object_whose_shape_is_built_is_building_until_a_run_begins() -> None:
+    before = list_objects([waiting("a"), run("b", is_done=False)], [SkippedObject("a2", "a2", "torn", "")])
+    states = [each.state for each in with_events(before, [], ["a", "b", "a2"])]
+    assert states == ["building", "running", "skipped"]
+
+
+OBJECTS = [
+    *list_objects(
+        [
+            *(run(name) for name in ("part_2", "part_10", "Part_1")),
+            run("x", totals=OVERLAPPING, spec={"about": ObjectRecord(id="x", category="Mug")}),
+            waiting("later", hand="allegro"),
+        ],
+        [SkippedObject("torn", "torn.stl", "it is not closed", "--remesh")],
+    )
+]
+
+
+def names(listings: list[ObjectListing]) -> list[str]:
+    return [each.object for each in listings]
+
+
+@pytest.mark.parametrize(
+    ("search", "found"),
+    [
+        ("", ["part_2", "part_10", "Part_1", "x", "later", "torn"]),
+        ("PART", ["part_2", "part_10", "Part_1"]),
+        ("mug", ["x"]),
+        ("allegro", ["later"]),
+        ("skipped remesh", ["torn"]),
+        ("overlaps no grasp", ["x"]),
+        ("part mug", []),
+    ],
+)
+def test_all_words_of_a_search_are_to_be_found(search: str, found: list[str]) -> None:
+    assert names(select_objects(OBJECTS, search)) == found
+
+
+@pytest.mark.parametrize(
+    ("key", "down", "first"),
+    [
+        ("object", False, ["later", "Part_1", "part_2", "part_10"]),
+        ("object", True, ["x", "torn", "part_10"]),
+        ("note", False, ["x", "torn"]),
+        ("grasps", True, ["part_2", "part_10", "Part_1", "x"]),
+        ("state", False, ["torn", "later"]),
+        ("share", False, ["x", "later", "torn"]),
+    ],
+)
+def test_objects_are_sorted_by_any_column(key: str, down: bool, first: list[str]) -> None:
+    assert names(select_objects(OBJECTS, sort=key, down=down))[: len(first)] == first
+
+
+@pytest.mark.parametrize("key", SORT_KEYS)
+def test_a_turned_order_has_the_same_objects(key: str) -> None:
+    assert sorted(names(select_objects(OBJECTS, sort=key, down=True))) == sorted(names(OBJECTS))
+
+
+def test_an_unknown_key_is_refused_with_those_that_exist() -> None:
+    with pytest.raises(UnknownName, match=r"'grabs'.*cells, errors, evaluations, grasps"):
+        select_objects(OBJECTS, sort="grabs")
+
+
+def test_quantiles_and_the_least_are_of_objects_with_a_finished_run() -> None:
+    found = object_quantiles(OBJECTS)
+    assert structs.astuple(found["grasps"]) == (0, 750, 1000, 1000, 1000)
+    assert found["cells"].words == "0 / 150 / 200 / 200 / 200"
+    assert names(least_objects(OBJECTS, 2)) == ["x", "part_2"]
+    assert object_quantiles([OBJECTS[4]]) == {}
+
+
+def test_states_are_counted() -> None:
+    assert count_states(OBJECTS) == {"skipped": 1, "waiting": 1, "done": 4}
+
+
+def test_the_table_has_a_line_for_each_object_and_no_column_is_out_of_line() -> None:
+    head, *lines = table_lines(OBJECTS)
+    assert len(lines) == len(OBJECTS)
+    assert lines[3].startswith("x")
+    assert lines[3].index("no grasp: the open") == head.index("note")
+    assert lines[0][: head.index("grasps") + len("grasps")].endswith(" 1000")
+
+
+def test_a_table_in_csv_has_all_figures() -> None:
+    rows = list(csv.DictReader(io.StringIO(to_csv(OBJECTS).decode())))
+    assert [row["object"] for row in rows] == names(OBJECTS)
+    assert (rows[3]["overlaps"], rows[3]["little"]) == ("3900", OBJECTS[3].little)
+    assert rows[5]["warnings"] == "left out: it is not closed; mend: --remesh"
+    assert rows[0]["hands"] == "panda"

@@ -1,0 +1,220 @@
+"""Weights that a new run begins with: learned from journals of runs of the same hand."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from tests.coordinator.recorded_runs import record_spec
+from tests.coordinator.scenes import jaw, made_scene
+from tests.coordinator.search.synthetic_scene import evaluate, shape, space
+from typer.testing import CliRunner
+
+from qdgrasp_assets.genes import STEEPEST_VALUE
+from qdgrasp_assets.scene import pack_scene
+from qdgrasp_coordinator.scheduler import run_plan
+from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
+from qdgrasp_coordinator.search.registry import check_spec
+from qdgrasp_coordinator.search.success_model import LogisticRegression, pooled_weights
+from qdgrasp_coordinator.search.value_search import STARTS, ValueSearch
+from qdgrasp_coordinator.storage.outputs import ORIGIN
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import FolderError, InputError
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import FirstWeights, RunSpec, from_toml, to_toml
+from qdgrasp_tools.campaign import warm_start
+from qdgrasp_tools.campaign.warm_start import WarmStart
+from qdgrasp_tools.cli.main import app
+
+SPACE = space("valued")
+SPEC = RunSpec(
+    gripper="jaw",
+    object="thing",
+    population=50,
+    overlaps="redraw",
+    aim_for="hold",
+    evaluations=600,
+    generations_in_flight=2,
+)
+Record = Callable[..., RunFolder]
+
+
+def pipeline(search: ValueSearch, spec: RunSpec) -> Pipeline:
+    return Pipeline(search, shape(SPACE), spec.evaluations, "redraw", Flight.of(spec))
+
+
+def journal(spec: RunSpec) -> tuple[ValueSearch, Rows]:
+    """A search that ran to its end, and its rows."""
+    search = ValueSearch(spec, SPACE)
+    running, pieces = pipeline(search, spec), []
+    while (asked := running.ask()) is not None:
+        rows = evaluate(SPACE, asked.number, asked.genomes)
+        rows["index"] = asked.indices
+        pieces.append(running.settle(rows).rows)
+    return search, np.concatenate(pieces)
+
+
+@pytest.fixture(scope="module")
+def ran() -> dict[int, tuple[ValueSearch, Rows]]:
+    """Searches of two seeds with their rows."""
+    return {seed: journal(msgspec.structs.replace(SPEC, seed=seed)) for seed in (0, 1)}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ran) -> Record:
+    """Records runs of the jaw, whose searches know the space of the make-believe object."""
+    monkeypatch.setattr(warm_start, "search_space", lambda *_: SPACE)
+    monkeypatch.setattr(run_plan, "row_shape", lambda *_: shape(SPACE))
+    own = SimpleNamespace(on_carrier=lambda _: jaw("jaw"))
+    monkeypatch.setattr(warm_start, "find_gripper", lambda _: own)
+
+    def made(name: str, rows: int = 10**6, gripper: str = "jaw", seed: int = 0, **changed: Any) -> RunFolder:
+        spec = msgspec.structs.replace(SPEC, seed=seed, **changed)
+        return record_spec(
+            tmp_path / name, spec, ran[seed][1][:rows], pack_scene(made_scene(gripper)), block=100
+        )
+
+    return made
+
+
+def test_weights_are_those_of_one_fit_to_what_the_searches_saw(folder: Record, ran) -> None:
+    learned = WarmStart.learned(SPEC, [folder("one"), folder("other", seed=1)])
+    for name, weights in msgspec.structs.asdict(learned.weights).items():
+        expected = pooled_weights([ran[seed][0].models[name] for seed in (0, 1)], STARTS[name])
+        assert expected is not None
+        assert weights == tuple(np.clip(expected, -STEEPEST_VALUE, STEEPEST_VALUE).tolist())
+    check_spec(msgspec.structs.replace(SPEC, first_weights=learned.weights))
+    assert [Path(run.run).name for run in learned.runs] == ["one", "other"]
+
+
+def test_an_unfinished_run_hands_on_what_it_knows(folder: Record) -> None:
+    whole, part = (WarmStart.learned(SPEC, [folder(f"run{n}", rows=n)]) for n in (10**6, 400))
+    assert part.weights.touch is not None
+    assert part.weights != whole.weights
+    assert part.runs[0].rows == 400
+
+
+def test_a_run_repeats_from_its_spec_without_its_sources(folder: Record) -> None:
+    learned = WarmStart.learned(SPEC, [folder("one")])
+    spec = msgspec.structs.replace(SPEC, seed=5, first_weights=learned.weights)
+    read = from_toml(to_toml(spec))
+    assert read == spec
+    (_, rows), (_, again), (_, cold) = map(
+        journal, (spec, read, msgspec.structs.replace(spec, first_weights=None))
+    )
+    assert rows.tobytes() == again.tobytes()
+    assert rows.tobytes() != cold.tobytes()
+
+
+def test_candidates_are_ranked_by_the_weights_from_the_first_generation() -> None:
+    first = FirstWeights(touch=(1.0, *STARTS["touch"][1:]), cell_quality=(2.0, *STARTS["cell_quality"][1:]))
+    search = ValueSearch(msgspec.structs.replace(SPEC, first_weights=first), SPACE)
+    genes = SPACE.layout.values(search.ask(0))[:, 9:]
+    assert genes[:, 0] == pytest.approx(1.0, abs=1e-5)
+    assert np.abs(genes[:, 1:]).max() < 1e-5
+    given = {name: model.weights.tolist() for name, model in search.models.items()}
+    assert given == {name: list(getattr(first, name) or STARTS[name]) for name in STARTS}
+
+
+def test_weights_none_of_which_are_given_change_nothing(ran) -> None:
+    _, rows = journal(msgspec.structs.replace(SPEC, first_weights=FirstWeights()))
+    assert rows.tobytes() == ran[0][1].tobytes()
+
+
+TRUE = np.array([3.0, -2.0, 1.0])
+
+
+def examples(n: int, seed: int, constant: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    random = np.random.default_rng(seed)
+    features = np.append(random.uniform(-1, 1, (n, 2)), np.ones((n, 1)), axis=1)
+    return features, random.random(n) < 1 / (1 + np.exp(-features @ TRUE - constant))
+
+
+def model_of(*told: tuple[np.ndarray, np.ndarray]) -> LogisticRegression:
+    model = LogisticRegression(np.zeros(3))
+    for features, successes in told:
+        model.learn(features, successes)
+    return model
+
+
+def test_what_objects_differ_in_is_not_laid_to_features() -> None:
+    """On one object all is easier, and its first feature is greater: that says nothing of the feature."""
+    easy, hard = examples(2000, 0, 2.0), examples(2000, 1, -2.0)
+    shifted = easy[0] + [1.0, 0.0, 0.0]
+    easy = (
+        shifted,
+        np.random.default_rng(2).random(2000) < 1 / (1 + np.exp(-(shifted - [1, 0, 0]) @ TRUE - 2)),
+    )
+    both = pooled_weights([model_of(easy), model_of(hard)], np.zeros(3))
+    assert both is not None
+    assert both[:2] == pytest.approx(TRUE[:2], abs=0.35)
+
+
+def test_runs_without_failures_tell_nothing() -> None:
+    features, _ = examples(300, 0)
+    assert pooled_weights([model_of((features, np.ones(300, bool)))], np.zeros(3)) is None
+    assert pooled_weights([model_of()], np.zeros(3)) is None
+
+
+def test_what_misleads_is_unlearned_within_few_tries() -> None:
+    """Weights of the opposite sign rank at first, and after 192 tries as the truth does."""
+    first = FirstWeights(touch=(-6.0, 6.0, *STARTS["touch"][2:]))
+    search = ValueSearch(msgspec.structs.replace(SPEC, first_weights=first), SPACE)
+    random, model = np.random.default_rng(0), search.models["touch"]
+    features = np.append(random.random((192, len(STARTS["touch"]) - 1)), np.ones((192, 1)), axis=1)
+    likely = 1 / (1 + np.exp(6 * (features[:, 1] - features[:, 0])))
+    before = np.corrcoef(model.likely(features), likely)[0, 1]
+    for block in range(3):
+        part = slice(64 * block, 64 * (block + 1))
+        model.learn(features[part], random.random(64) < likely[part])
+    assert before < -0.9
+    assert np.corrcoef(model.likely(features), likely)[0, 1] > 0.8
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"gripper": "paw"}, "is a run of the hand 'paw'"),
+        ({"aim_for": "touch"}, "has learned no value"),
+        ({"method": "contact_me_scs", "aim_for": None}, "it is a run of method 'contact_me_scs'; name"),
+        ({"diversity": "orientation"}, "aim_for 'hold' with diversity 'orientation'; name runs of 'aimed'"),
+        ({"aim_for": "margin"}, "has aim_for 'margin' and this run 'hold'"),
+        ({"protocol": "physical"}, "has protocol 'physical' and this run 'paper'"),
+        ({"overlaps": "count"}, "has overlaps 'count' and this run 'redraw'"),
+        ({"rows": 20}, "found too few successes or failures"),
+        ({"population": 49}, "cannot be learned from"),
+    ],
+)
+def test_a_run_that_learned_something_else_is_refused(folder: Record, changed, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        WarmStart.learned(SPEC, [folder("source", **changed)])
+
+
+@pytest.mark.parametrize("changed", [{"aim_for": "touch"}, {"method": "me_scs", "aim_for": None}])
+def test_a_search_without_value_takes_nothing(folder: Record, changed) -> None:
+    with pytest.raises(InputError, match="leave --warm-start out"):
+        WarmStart.learned(msgspec.structs.replace(SPEC, **changed), [folder("source")])
+
+
+def test_the_command_begins_a_run_with_weights_and_notes_their_origin(folder, tmp_path, monkeypatch) -> None:
+    source, begun = folder("source"), []
+    monkeypatch.setattr(
+        "qdgrasp_tools.cli.run_commands.run_plan.prepare_scene",
+        lambda *_, **__: SimpleNamespace(bundle=pack_scene(made_scene("jaw"))),
+    )
+    monkeypatch.setattr("qdgrasp_tools.cli.run_commands.run_job", lambda folder, *_: begun.append(folder))
+    monkeypatch.setattr("qdgrasp_tools.cli.run_commands.print_result", lambda *_, **__: None)
+    words = ["run", "--gripper", "jaw", "--object", "thing", "--protocol", "paper", "--out"]
+    run = CliRunner().invoke(app, [*words, str(tmp_path / "new"), "--warm-start", str(source.path)])
+    assert run.exit_code == 0, run.output
+    assert len(begun) == 1
+    new = RunFolder.open(tmp_path / "new")
+    assert new.spec.first_weights == WarmStart.learned(SPEC, [source]).weights
+    noted = msgspec.json.decode((new.path / ORIGIN).read_bytes())
+    assert [run["run"] for run in noted["runs"]] == [str(source.path)]
+    refused = CliRunner().invoke(app, [*words, str(tmp_path / "none"), "--warm-start", str(tmp_path / "no")])
+    assert isinstance(refused.exception, FolderError)
+    assert not (tmp_path / "none").exists()

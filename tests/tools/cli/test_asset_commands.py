@@ -1,0 +1,107 @@
+import json
+
+import pytest
+import trimesh
+from tests.assets.file_server import fails, served
+from typer.testing import CliRunner
+
+from qdgrasp_assets.ycb import SCANS, fetched_mesh
+from qdgrasp_protocol.errors import AssetError
+from qdgrasp_tools.cli.asset_commands import asset_app
+
+
+@pytest.fixture
+def asset(monkeypatch, tmp_path):
+    """`qdgrasp asset` for a user who has nothing yet."""
+    monkeypatch.setenv("QDGRASP_DATA", str(tmp_path))
+    monkeypatch.setenv("no_proxy", "*")
+    monkeypatch.delenv("QDGRASP_ASSET_PATH", raising=False)
+    return lambda *words: CliRunner().invoke(asset_app, words)
+
+
+def test_list_names_everything_with_source_and_licence(asset):
+    listed = json.loads(asset("list", "--json").stdout)
+    names = {entry["name"]: entry for kind in ("grippers", "objects") for entry in listed[kind]}
+    assert names["panda"]["source"] == names["bowl"]["source"] == "built in"
+    assert names["ref_shadow"]["source"] == names["ycb_bowl"]["source"] == "absent"
+    assert all(entry["licence"] for entry in names.values())
+    said = asset("list").stdout
+    assert all(name in said for name in names)
+
+
+def test_list_tells_what_was_fetched_and_what_lies_on_the_asset_path(asset, monkeypatch, tmp_path):
+    fetched_mesh("ycb_mug").parent.mkdir(parents=True)
+    fetched_mesh("ycb_mug").write_bytes(b"")
+    (tmp_path / "objects/bowl").mkdir(parents=True)
+    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(tmp_path))
+    listed = {
+        entry["name"]: entry["source"] for entry in json.loads(asset("list", "--json").stdout)["objects"]
+    }
+    sources = [listed[name] for name in ("ycb_mug", "ycb_bowl", "ycb_banana")]
+    assert sources == ["fetched", "asset path", "absent"]
+
+
+def test_fetch_states_the_licence_and_asks_the_address_it_is_given(asset, monkeypatch):
+    with served() as site:
+        site.behaviours = [fails(404), fails(404)]
+        done = asset("fetch", "ycb_bowl", "--from", site.address)
+        assert isinstance(done.exception, AssetError)
+        assert "CC BY 4.0" in done.stderr
+        monkeypatch.setenv("QDGRASP_YCB_URL", site.address + "/mirror/")
+        asset("fetch", "ycb_bowl")
+        archive = SCANS["ycb_bowl"].archive
+        assert [path for path, _ in site.asked] == [f"/{archive}", f"/mirror/{archive}"]
+
+
+def test_fetch_without_names_fetches_what_is_absent(asset):
+    for name in set(SCANS) - {"ycb_spatula"}:
+        fetched_mesh(name).parent.mkdir(parents=True)
+        fetched_mesh(name).write_bytes(b"")
+    with served() as site:
+        site.behaviours = [fails(404)]
+        asset("fetch", "--from", site.address)
+        assert [path for path, _ in site.asked] == [f"/{SCANS['ycb_spatula'].archive}"]
+
+
+def test_fetch_goes_on_after_a_scan_that_is_not_what_it_must_be(asset):
+    with served() as site:
+        site.content = b"no archive"
+        done = asset("fetch", "ycb_bowl", "ycb_mug", "--from", site.address)
+        assert [path for path, _ in site.asked] == [
+            f"/{SCANS[name].archive}" for name in ("ycb_bowl", "ycb_mug")
+        ]
+    assert "for 'ycb_bowl' was thrown away: " in str(done.exception)
+    assert "for 'ycb_mug' was thrown away: " in str(done.exception)
+
+
+def test_check_says_what_is_good_and_ends_with_what_is_wrong(asset, tmp_path):
+    part = tmp_path / "part.stl"
+    box = trimesh.creation.box((0.02, 0.03, 0.04))
+    trimesh.Trimesh(box.vertices, box.faces[1:], process=False).export(part)
+    done = asset("check", "mug", str(part))
+    assert "ok    mug: " in done.stdout
+    assert f"WRONG {part}: it is not closed (watertight): 3 edges" in done.stdout
+    assert str(done.exception) == f"1 of 2 assets cannot be used as they are: {part}."
+
+
+def test_check_draws_what_can_be_used(asset, tmp_path):
+    broken = tmp_path / "broken.stl"
+    broken.write_bytes(b"no mesh")
+    done = asset("check", "robotiq_2f", "bowl", str(broken), "--pictures", str(tmp_path / "pictures"))
+    drawn = {path.name: path.read_bytes()[:4] for path in (tmp_path / "pictures").iterdir()}
+    assert drawn == {"bowl.png": b"\x89PNG", "robotiq_2f.png": b"\x89PNG"}
+    assert all(name in done.stdout for name in drawn)
+
+
+def test_check_draws_no_two_in_one_file(asset, tmp_path):
+    done = asset("check", "part.stl", "bowl", "part.obj", "--pictures", str(tmp_path / "pictures"))
+    assert str(done.exception).startswith("'part.stl' and 'part.obj' would both be drawn to '")
+    assert "name them in two commands" in str(done.exception)
+    assert not (tmp_path / "pictures").exists()
+
+
+def test_check_without_names_checks_what_is_here(asset):
+    done = asset("check")
+    assert done.exit_code == 0
+    assert "ok    power_drill: " in done.stdout
+    assert "ycb_" not in done.stdout

@@ -1,0 +1,109 @@
+"""Flags that end the runs of a campaign."""
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import trimesh
+from tests.coordinator.recorded_campaigns import BUDGET, record_campaign
+from typer.testing import CliRunner
+
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_tools.campaign.campaign_file import SATURATION, Campaign, read_campaign
+from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue
+from qdgrasp_tools.cli import campaign_commands
+from qdgrasp_tools.cli.main import app
+
+Asked = Callable[[str], Campaign]
+
+
+@pytest.fixture
+def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Asked:
+    """Return the campaign that a command line asks for; nothing is carried out."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "parts").mkdir()
+    trimesh.creation.box((0.02, 0.02, 0.08)).export(tmp_path / "parts" / "lever.stl")
+    (tmp_path / "c.toml").write_text('[[cross]]\ngripper = "panda"\nobject = "mug"\n')
+    begun: list[Campaign] = []
+
+    def begin(path: Path, campaign: Campaign, job: str | None = None) -> None:
+        begun.append(campaign)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(campaign_commands, "begin_campaign", begin)
+
+    def act(line: str) -> Campaign:
+        result = CliRunner().invoke(app, ["campaign", *shlex.split(line)])
+        if isinstance(result.exception, InputError):
+            raise result.exception
+        return begun.pop()
+
+    return act
+
+
+MESHES = "--objects parts --gripper panda --mass 0.1"
+
+
+@pytest.mark.parametrize(
+    ("flags", "ends"),
+    [
+        ("", (10_000, None, None)),
+        ("--grasps-per-object 2000", (20_000, 2000, SATURATION)),
+        ("--grasps-per-object 2000 --max-evaluations 9000 --saturation 0.3", (9000, 2000, 0.3)),
+        ("--max-evaluations 9000", (9000, None, None)),
+        ("--saturation 0", (10_000, None, 0)),
+    ],
+)
+@pytest.mark.parametrize("what", ["c.toml", MESHES])
+def test_a_target_of_grasps_and_a_cap_are_those_of_every_run(asked: Asked, what: str, flags, ends) -> None:
+    (spec,) = asked(f"{what} {flags}").runs.values()
+    assert (spec.evaluations, spec.grasps, spec.saturation) == ends
+
+
+def test_the_budget_of_meshes_is_their_cap(asked: Asked) -> None:
+    (spec,) = asked(f"{MESHES} --grasps-per-object 300 --evaluations 4000").runs.values()
+    assert (spec.evaluations, spec.grasps) == (4000, 300)
+
+
+def test_meshes_are_grasped_under_the_protocol_and_in_the_engine_that_are_said(asked: Asked) -> None:
+    (spec,) = asked(f"{MESHES} --protocol physical --engine mujoco").runs.values()
+    assert (spec.protocol, spec.engine) == ("physical", "mujoco")
+
+
+def test_a_campaign_of_meshes_goes_on_from_its_folder_with_a_larger_target(asked, tmp_path) -> None:
+    begun = asked(f"{MESHES} --grasps-per-object 300 --max-evaluations 4000")
+    (tmp_path / "again.toml").write_text(begun.toml)
+    (spec,) = asked("again.toml --grasps-per-object 500").runs.values()
+    assert (spec.evaluations, spec.grasps, spec.saturation) == (4000, 500, SATURATION)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (f"{MESHES} --evaluations 9 --max-evaluations 9", "--evaluations and --max-evaluations both say"),
+        ("c.toml --grasps-per-object 9 --max-evaluations 8", "--max-evaluations must be at least 9, as"),
+        ("c.toml --grasps-per-cell 3", "--grasps-per-cell goes with --objects DIR"),
+        ("c.toml --units mm", "--units goes with --objects DIR"),
+        ("c.toml --remesh", "--remesh goes with --objects DIR"),
+        ("c.toml --saturation 1.5", "saturation must be a number at least 0 and less than 1, got 1.5"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_in_a_sentence(asked: Asked, line: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        asked(line)
+
+
+def test_a_campaign_that_ends_early_says_what_all_of_its_runs_have_recorded(tmp_path, capsys) -> None:
+    folder = record_campaign(tmp_path / "out", 8)
+    asked = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True)
+    campaign_commands.print_summary(folder, asked, is_timed=True)
+    first, counts = capsys.readouterr().out.splitlines()[:2]
+    assert first.startswith("Not all runs are finished; ")
+    recorded = CampaignRunQueue(folder, asked.runs).recorded
+    assert recorded.evaluations == 11 * BUDGET + BUDGET // 2
+    assert counts.startswith(
+        f"11 of 16 runs finished and 1 begun, with {recorded.evaluations} evaluations: "
+        f"{recorded.successes} successes in {recorded.cells} cells, {recorded.grasps} grasps, "
+    )

@@ -1,0 +1,172 @@
+"""Entry points of the commands, and the modules that they load first."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from qdgrasp import entry
+from qdgrasp_tools.cli import coordinator_process, main
+
+HEAVY = {"coacd", "embreex", "matplotlib", "numba", "ribs", "scipy", "sklearn", "trimesh"}
+"""Packages that take a tenth of a second or more to import; commands import them where needed."""
+
+
+@pytest.mark.parametrize("module", ["main", "coordinator_process", "recorder_process"])
+def test_a_command_line_loads_nothing_heavy_before_its_command_runs(module):
+    statements = f"import json, sys, qdgrasp_tools.cli.{module}; print(json.dumps(sorted(sys.modules)))"
+    said = subprocess.run([sys.executable, "-c", statements], capture_output=True, check=True, text=True)
+    assert not HEAVY & set(json.loads(said.stdout))
+
+
+@pytest.mark.parametrize("flags", [["--listen", "tcp/127.0.0.1:0"], ["--insecure"]])
+def test_a_coordinator_at_routers_that_run_has_no_flags_of_its_own_router(flags: list[str]) -> None:
+    asked = ["spec.toml", "--connect", "tcp/127.0.0.1:7447", *flags]
+    refusal = CliRunner().invoke(coordinator_process.app, asked).exception
+    assert "--listen and --insecure are for a router of its own" in str(refusal)
+
+
+SCRIPTS = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]["scripts"]
+
+
+@pytest.mark.parametrize("script", SCRIPTS.values(), ids=SCRIPTS)
+def test_every_command_begins_before_anything_is_loaded(script: str) -> None:
+    module, _, name = script.partition(":")
+    assert module == "qdgrasp.entry"
+    assert callable(getattr(entry, name))
+
+
+def test_the_beginning_loads_nothing_but_what_signals_need() -> None:
+    code = (
+        "import importlib, signal, sys; before = set(sys.modules); import qdgrasp.entry; "
+        "print(*(set(sys.modules) - before))"
+    )
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout
+    assert set(loaded.split()) == {"qdgrasp", "qdgrasp.entry"}
+
+
+DISTURBED = """
+import atexit, signal, sys
+function, moment, number = sys.argv[1], sys.argv[2], int(sys.argv[3])
+del sys.argv[1:4]
+class Disturber:
+    def find_spec(self, name, path=None, target=None):
+        if name == moment:
+            signal.raise_signal(number)
+sys.meta_path.insert(0, Disturber())
+if moment == "the end":
+    atexit.register(signal.raise_signal, number)
+from qdgrasp import entry
+getattr(entry, function)()
+"""
+"""A command that is sent a signal when it begins to load a module, or when Python ends."""
+FIRST, WITHIN = "typer", "qdgrasp_tools.export.exporter"
+EXPORT = ("export", "run", "--format", "csv", "-o", "out.csv")
+
+
+@pytest.mark.parametrize(
+    ("script", "moment", "words"),
+    [*((name, FIRST, ()) for name in SCRIPTS), ("qdgrasp", WITHIN, EXPORT), ("qdgrasp", "the end", ())],
+)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_a_signal_leaves_no_trace_whatever_is_being_loaded(script, moment, words, number) -> None:
+    function = SCRIPTS[script].partition(":")[2]
+    asked = (function, moment, str(int(number)), *(words or ["--version"]))
+    done = subprocess.run(
+        [sys.executable, "-c", DISTURBED, *asked], capture_output=True, check=False, text=True
+    )
+    assert (done.returncode, done.stderr) == (128 + number, "")
+
+
+def answer(name: str, flag: str) -> str:
+    """Run a command with a flag; returns its output."""
+    function = SCRIPTS[name].partition(":")[2]
+    code = f"import sys; sys.argv = [{name!r}, {flag!r}]; from qdgrasp.entry import {function} as f; f()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_command_answers_for_help_and_says_its_version(name: str) -> None:
+    assert f"Usage: {name}" in answer(name, "--help")
+    assert answer(name, "--version") == f"{name} {version('qdgrasp')}\n"
+
+
+def test_a_command_without_a_word_behind_it_shows_its_help() -> None:
+    done = subprocess.run([sys.executable, "-m", "qdgrasp"], capture_output=True, check=False, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("Usage: qdgrasp [OPTIONS] COMMAND")
+
+
+def pages() -> Iterator[list[str]]:
+    """The words of every command of `qdgrasp` and of its groups."""
+    for name, command in typer.main.get_command(main.app).commands.items():  # type: ignore[attr-defined]
+        yield [name]
+        yield from ([name, each] for each in getattr(command, "commands", {}))
+
+
+@pytest.mark.parametrize("words", list(pages()), ids=" ".join)
+def test_every_command_and_group_of_qdgrasp_says_the_version_of_the_program(words: list[str]) -> None:
+    said = CliRunner().invoke(main.app, [*words, "--version"], prog_name="qdgrasp")
+    assert (said.exit_code, said.output) == (0, f"qdgrasp {version('qdgrasp')}\n")
+
+
+def headings(text: str) -> dict[str, list[str]]:
+    """The first words of the lines of a help text, by the heading that they stand below."""
+    sections = re.split(r"^(\S[^\n]*):\n", text, flags=re.MULTILINE)[1:]
+    return {
+        heading: re.findall(r"^  (\S+)", lines, re.MULTILINE)
+        for heading, lines in zip(sections[::2], sections[1::2], strict=True)
+    }
+
+
+def test_the_help_has_every_command_below_a_heading_and_the_first_ones_first() -> None:
+    shown = headings(CliRunner().invoke(main.app, ["--help"], env={"COLUMNS": "80"}).output)
+    assert list(shown) == [*main.PANELS, "Options"]
+    commands = [name for panel in main.PANELS for name in shown[panel]]
+    assert sorted(commands) == sorted(typer.main.get_command(main.app).commands)  # type: ignore[attr-defined]
+    assert shown["Start here"][:2] == ["doctor", "run"]
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_the_help_of_commands_keeps_to_the_terminal_and_cuts_no_sentence(columns: int) -> None:
+    for words in ([], ["run"], ["gripper"]):
+        lines = (
+            CliRunner()
+            .invoke(main.app, [*words, "--help"], terminal_width=columns, max_content_width=columns)
+            .output.splitlines()
+        )
+        assert max(map(len, lines)) <= columns
+        assert not [line for line in lines if line.endswith("...") and "Usage" not in line]
+
+
+def test_the_help_of_a_run_begins_with_the_options_that_most_runs_have() -> None:
+    shown = headings(CliRunner().invoke(main.app, ["run", "--help"]).output)
+    assert shown["Options"][:5] == ["--gripper", "--object", "--evaluations", "--workers", "--out"]
+    assert list(shown)[:2] == ["Arguments", "Options"]
+    assert {"--method", "--seed"} <= set(shown["Search"])
+    assert {"--security", "--listen"} <= set(shown["Processes and links"])
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_words_of_commands_are_completed_in_a_shell(shell: str) -> None:
+    def said(how: str, **asked: str) -> str:
+        environment = os.environ | {"_QDGRASP_COMPLETE": f"{how}_{shell}"} | asked
+        code = "import sys; sys.argv = ['qdgrasp']; from qdgrasp.entry import qdgrasp; qdgrasp()"
+        line = [sys.executable, "-c", code]
+        return subprocess.run(line, capture_output=True, check=False, text=True, env=environment).stdout
+
+    assert "complete_" + shell in said("source")
+    words = {"COMP_WORDS": "qdgrasp rer", "COMP_CWORD": "1", "_TYPER_COMPLETE_ARGS": "qdgrasp rer"}
+    assert "rerank" in said("complete", **words, _TYPER_COMPLETE_FISH_ACTION="get-args")

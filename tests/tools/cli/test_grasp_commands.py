@@ -1,0 +1,91 @@
+"""`qdgrasp evaluate` and `import`: nothing is replaced unasked."""
+
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from tests.tools.export.foreign_files import ISAAC, POSITION, acronym, matrix
+from typer.testing import CliRunner, Result
+
+from qdgrasp_coordinator.search.fixed_poses import read_poses
+from qdgrasp_protocol.errors import FolderError, InputError
+from qdgrasp_tools.cli.main import app
+from qdgrasp_tools.export.importer import object_frame
+
+
+def refusal(*arguments: object) -> InputError:
+    asked = ("evaluate", "--gripper", "panda", "--object", "mug", *map(str, arguments))
+    error = CliRunner().invoke(app, asked).exception
+    assert isinstance(error, InputError)
+    return error
+
+
+@pytest.mark.parametrize(("given", "missing"), [((), "--poses"), (("--poses", "poses.npz"), "--out")])
+def test_files_that_are_not_named_are_asked_for(given: tuple[str, ...], missing: str) -> None:
+    assert str(refusal(*given)).startswith(f"{missing} is missing: name an npz file")
+
+
+@pytest.fixture
+def poses(tmp_path: Path) -> Path:
+    turns = np.array([[0.0, 0.0, 0.0, 1.0]])
+    np.savez(tmp_path / "poses.npz", base_position=np.zeros((1, 3)), base_quaternion_xyzw=turns)
+    return tmp_path / "poses.npz"
+
+
+def test_poses_are_not_replaced_by_their_scores_even_by_force(poses: Path) -> None:
+    before = poses.read_bytes()
+    (poses.parent / "again.npz").hardlink_to(poses)
+    for out in (poses, poses.parent / "again.npz"):
+        error = refusal("--poses", poses, "--out", out, "--force")
+        assert isinstance(error, FolderError)
+        assert "is a file that is read here" in str(error)
+    assert poses.read_bytes() == before
+
+
+def command(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["import", *map(str, arguments)])
+
+
+def test_the_command_writes_poses_for_evaluate_and_says_how_to_score_them(tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    out = tmp_path / "poses.npz"
+    done = command(tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", out)
+    assert done.exit_code == 0, done.exception
+    scores = tmp_path / "poses-scores.npz"
+    assert done.stdout.splitlines() == [
+        f"1 pose written to {out}; this scores them:",
+        f"  qdgrasp evaluate --gripper panda --object mug --poses {out} --out {scores}",
+    ]
+    expected = POSITION - object_frame("mug").com_in_mesh
+    np.testing.assert_allclose(read_poses(out).positions, [expected], atol=1e-7)
+
+
+def test_what_a_file_says_of_a_mesh_is_in_the_command_that_scores_it(tmp_path: Path) -> None:
+    trimesh.creation.box((0.04, 0.05, 0.06)).export(tmp_path / "box.stl")
+    acronym(tmp_path / "f.h5", [matrix()], object__mass=0.25, object__friction=1.0)
+    asked = ("--gripper", "panda", "--object", tmp_path / "box.stl", "-o", tmp_path / "p.npz")
+    assert "--mass 0.25 --friction 1.0 --poses" in command(tmp_path / "f.h5", *asked).stdout
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    assert "box.stl --mass KG --poses" in command(tmp_path / "f.yaml", *asked, "--force").stdout
+
+
+def test_what_is_there_is_replaced_by_force_and_it_is_told_what_is_being_read(tmp_path, monkeypatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(
+        "qdgrasp_tools.cli.grasp_commands.progress_messages", lambda: nullcontext(told.append)
+    )
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    (tmp_path / "poses.npz").write_bytes(b"precious")
+    asked = (tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / "poses.npz")
+    done = command(*asked, "--force")
+    assert len(read_poses(tmp_path / "poses.npz")) == 1
+    assert (done.exit_code, told) == (0, [f"reading {tmp_path / 'f.yaml'}"])
+
+
+def test_a_hand_or_object_that_is_none_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    for gripper, object_ in (("pandaa", "mug"), ("panda", "mugg")):
+        asked = (tmp_path / "f.yaml", "--gripper", gripper, "--object", object_, "-o", tmp_path / "p.npz")
+        assert "Unknown" in str(command(*asked).exception)

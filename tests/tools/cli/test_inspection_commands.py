@@ -1,0 +1,319 @@
+"""Commands that look at runs: their output and refusals."""
+
+import csv
+import json
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+import pytest
+from PIL import Image
+from tests.common import PATIENCE
+from tests.coordinator.recorded_campaigns import record_campaign
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import SceneMaker, made_scene
+from tests.tools.report.test_row_report import OUTCOMES, run_of
+from typer.testing import CliRunner, Result
+
+from qdgrasp_coordinator.search.registry import METHODS
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError
+from qdgrasp_protocol.spec import DEFAULT_METHOD
+from qdgrasp_tools.campaign import campaign_folder
+from qdgrasp_tools.cli.inspection_commands import has_desktop
+from qdgrasp_tools.cli.main import app
+from qdgrasp_tools.cli.options import host_and_port
+
+
+@pytest.fixture
+def path(tmp_path: Path, make_scene: SceneMaker) -> Path:
+    return run_of(tmp_path / "mug", make_scene(), OUTCOMES).folder.path
+
+
+def show(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["show", *map(str, arguments)])
+
+
+def test_a_grasp_is_shown_line_by_line_and_the_run_by_the_name_of_its_folder(path: Path) -> None:
+    lines = show(path, "--grasp", 1).stdout.splitlines()
+    for words in ("run              mug", "outcome          held: every disturbance was survived"):
+        assert words in lines
+    assert "number           1 of 5 rows, counted from 0" in lines
+
+
+def test_machines_are_told_the_same(path: Path) -> None:
+    told = json.loads(show(path, "--grasp", 1, "--json").stdout)
+    assert (told["number"], told["outcome"], told["fitness"], told["eta"]) == (1, "held", 2.0, None)
+    assert told["base_to_object"]["quaternion_xyzw"] == [0, 0, 0, 1]
+
+
+def test_escapes_in_what_a_run_says_of_itself_do_not_reach_the_terminal(tmp_path: Path) -> None:
+    title = "\x1b]0;owned\x07\x1b[2J\x9b31m"
+    folder = record(tmp_path / f"run{title}", made_scene(), random_rows(10), object=f"{title}.stl")
+    told = CliRunner().invoke(app, ["info", str(folder.path)])
+    assert told.exit_code == 0, told.exception
+    assert all(line.isprintable() for line in told.output.splitlines()), told.output
+    assert r"\x1b]0;owned\x07\x1b[2J\x9b31m.stl" in told.output
+
+
+def test_a_row_that_is_not_there_is_refused(path: Path) -> None:
+    refused = show(path, "--grasp", 5).exception
+    assert isinstance(refused, InputError)
+    assert str(refused) == (
+        f"The journal of {path} has no row 5: it has 5, numbered from 0, and the nearest success is 3."
+    )
+
+
+@pytest.mark.parametrize("command", [("show", "--grasp", "0"), ("verify",), ("view",)])
+def test_a_folder_without_a_run_is_refused(tmp_path: Path, command: tuple[str, ...]) -> None:
+    assert isinstance(CliRunner().invoke(app, [*command, str(tmp_path)]).exception, FolderError)
+
+
+def test_a_number_is_asked_for(path: Path) -> None:
+    assert "Missing option '--grasp'" in show(path).output
+
+
+def refused(path: Path, out: object, *arguments: object, grasp: int = 1) -> str:
+    command = ["render", path, "--grasp", grasp, "-o", out, *arguments]
+    error = CliRunner().invoke(app, list(map(str, command))).exception
+    assert isinstance(error, InputError)
+    return str(error)
+
+
+SIZE_WORDS = "--size must be 320x240 to 1280x960 for a .gif"
+SIZES = ("640", "640x", "10x10", "640x560x3", "-640x560", "9999x9999")
+VIEWS = ("40", "40,25,3", "x,y", "nan,3", "500,3", "0,91")
+
+
+@pytest.mark.parametrize(
+    ("name", "flags", "words"),
+    [
+        ("a.gif", ("--pregrasp",), "--pregrasp draws one picture, and"),
+        ("a.jpg", (), "a.jpg must end with .png or .gif; name another path with --out."),
+        ("a.png", ("--what", "shakes"), "--what chooses a part of a film"),
+        *(("a.gif", (f"--size={size}",), f"{SIZE_WORDS}, got '{size}'.") for size in SIZES),
+        *(("a.png", (f"--from={view}",), "--from must be AZIMUTH,ELEVATION in degrees") for view in VIEWS),
+    ],
+)
+def test_a_picture_that_cannot_be_drawn_is_refused(path, tmp_path, name, flags, words) -> None:
+    said = refused(path, tmp_path / name, *flags)
+    assert said.startswith(f"{tmp_path}/{words}" if name == "a.jpg" else words)
+    assert not words.endswith(".") or said.endswith(words)
+
+
+def test_a_row_without_a_pose_is_refused(path: Path, tmp_path: Path) -> None:
+    assert refused(path, tmp_path / "a.png", grasp=2) == (
+        "There is nothing of row 2 to show: it is a dead end, for which decoding found no pose."
+    )
+    assert not (tmp_path / "a.png").exists()
+
+
+def sheet(path: Path, *arguments: object) -> Result:
+    return CliRunner().invoke(app, ["render", *map(str, (path, *arguments))])
+
+
+def test_grasps_are_drawn_beside_each_other(path: Path, tmp_path: Path) -> None:
+    done = sheet(
+        path, "--grasps", "best:2", "-o", tmp_path / "new" / "a.png", "--size", "160x120", "--no-labels"
+    )
+    assert done.exit_code == 0, done.exception
+    assert done.stdout == f"jaw on block: 2 grasps, the best first; drawn in {tmp_path}/new/a.png: 1, 3\n"
+    with Image.open(tmp_path / "new" / "a.png") as image:
+        assert image.size == (2 * 160 + 6, 120)
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ((), "Name one row with --grasp N, or several with --grasps, as in --grasps best:12."),
+        (("--grasp", 1, "--grasps", "1,3"), "Name one row with --grasp N, or several with --grasps"),
+        (("--grasps", "1", "--trial", 2), "--trial is about one evaluation; leave it out with --grasps."),
+        (("--grasps", "1", "--what", "closing"), "--what is about one evaluation"),
+        (("--grasps", "1", "--parts"), "--parts is about one evaluation"),
+        (
+            ("--grasps", "1", "--size", "10x10"),
+            "--size must be 160x120 to 960x720 with --grasps, got '10x10'.",
+        ),
+        (("--grasps", "1", "--from", "x"), "--from must be AZIMUTH,ELEVATION in degrees"),
+        (("--grasps", "top:3"), "--grasps must be best:N, diverse:N, random:N, or numbers of rows"),
+    ],
+)
+def test_a_sheet_that_cannot_be_drawn_is_refused(path, tmp_path, flags, words) -> None:
+    refused = sheet(path, "-o", tmp_path / "a.png", *flags).exception
+    assert isinstance(refused, InputError)
+    assert str(refused).startswith(words)
+    assert not (tmp_path / "a.png").exists()
+
+
+def test_a_sheet_is_no_film(path: Path, tmp_path: Path) -> None:
+    refused = sheet(path, "--grasps", "best:2", "-o", tmp_path / "a.gif").exception
+    assert str(refused) == f"{tmp_path}/a.gif must end with .png; name another path with --out."
+
+
+def refusal(*arguments: object) -> BaseException | None:
+    return CliRunner().invoke(app, ["verify", *map(str, arguments)]).exception
+
+
+def test_all_rows_leave_nothing_to_a_sample(tmp_path: Path) -> None:
+    refused = refusal(tmp_path, "--all", "--sample", 3)
+    assert isinstance(refused, InputError)
+    assert str(refused) == "--all leaves nothing to --sample: give one of them."
+
+
+def test_a_run_without_rows_is_refused(tmp_path: Path, make_scene: SceneMaker) -> None:
+    refused = refusal(record(tmp_path / "empty", make_scene(), random_rows(0)).path)
+    assert isinstance(refused, InputError)
+    assert str(refused) == "Nothing is recorded there that could be evaluated again."
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [("127.0.0.1:8080", ("127.0.0.1", 8080)), ("[::1]:80", ("::1", 80)), ("head:0", ("head", 0))],
+)
+def test_the_place_of_the_page_is_a_host_and_a_port(text: str, place: tuple[str, int]) -> None:
+    assert host_and_port(text) == place
+
+
+@pytest.mark.parametrize("text", ["", "8080", ":8080", "head", "head:", "head:x", "head:65536", "head:-1"])
+def test_what_is_no_place_is_refused_with_how_to_write_one(text: str) -> None:
+    with pytest.raises(ImpossibleValue, match="HOST:PORT, such as"):
+        host_and_port(text)
+
+
+@pytest.mark.parametrize(
+    ("environment", "is_there"),
+    [
+        ({}, False),
+        ({"DISPLAY": ""}, False),
+        ({"DISPLAY": ":0"}, True),
+        ({"WAYLAND_DISPLAY": "wayland-0"}, True),
+        ({"DISPLAY": "localhost:10.0", "SSH_CONNECTION": "10.0.0.1 22 10.0.0.2 22"}, False),
+    ],
+)
+def test_a_browser_is_opened_where_somebody_sits(environment: dict[str, str], is_there: bool) -> None:
+    assert has_desktop(environment) is is_there
+
+
+@pytest.mark.parametrize(("flags", "is_opened"), [([], True), (["--no-open"], False)])
+def test_the_address_is_printed_and_opened_unless_somebody_says_no(tmp_path, monkeypatch, flags, is_opened):
+    seen, address = SimpleQueue[str](), "http://127.0.0.1:8080/"
+
+    def serve(*given: Any) -> None:
+        given[-1](address)
+        if is_opened:
+            seen.put(seen.get(timeout=PATIENCE))  # until the browser has heard of it
+
+    monkeypatch.setattr("qdgrasp_tools.monitor.web.server.serve", serve)
+    monkeypatch.setattr("webbrowser.open", seen.put)
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.delenv("SSH_CONNECTION", raising=False)
+    path = record(tmp_path / "mug", made_scene(), random_rows(5)).path
+    done = CliRunner().invoke(app, ["view", str(path), *flags])
+    assert done.exit_code == 0, done.exception
+    assert done.stdout == f"The grasps are shown at {address} until Ctrl-C.\n"
+    assert seen.empty() is not is_opened
+
+
+def test_every_method_has_a_line() -> None:
+    done = CliRunner().invoke(app, ["methods"])
+    assert done.exit_code == 0
+    head, *lines = done.stdout.splitlines()
+    flight = ["population", "generations_in_flight", "in_flight"]
+    assert head.split() == ["name", "prior", "overlaps", *flight, "summary"]
+    assert [line.split()[0] for line in lines] == list(METHODS)
+
+
+def test_the_default_comes_first_and_is_marked() -> None:
+    assert next(iter(METHODS)) == DEFAULT_METHOD
+    assert [name for name, entry in METHODS.items() if "default" in entry.summary] == [DEFAULT_METHOD]
+
+
+def test_machines_get_the_same_table() -> None:
+    table = json.loads(CliRunner().invoke(app, ["methods", "--json"]).stdout)
+    assert {entry["name"]: entry["prior"] for entry in table} == {
+        name: entry.prior for name, entry in METHODS.items()
+    }
+    assert next(entry for entry in table if entry["name"] == "cma_mae")["population"] == 540
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign over ten objects, eight of which have begun, with two hands."""
+    return record_campaign(tmp_path_factory.mktemp("campaigns") / "parts", 10, begun=0.8).path
+
+
+def info(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["info", *map(str, arguments)])
+
+
+def test_a_campaign_says_what_its_objects_got_and_which_got_little(campaign: Path) -> None:
+    lines = info(campaign).stdout.splitlines()
+    assert "runs done        15" in lines
+    assert "objects by state 3 skipped, 1 running, 2 waiting, 7 done" in lines
+    assert "grasps of each   0 / 0 / 15 / 41 / 80 (least, quarters, most)" in lines
+    assert "got little       4" in lines
+    assert "  part_00002: no grasp: the open hand overlaps it in 100 of 100 poses" in lines
+    assert "left out         2: it is not closed" in lines
+
+
+def test_machines_are_told_of_the_objects_too(campaign: Path) -> None:
+    found = json.loads(info(campaign, "--json").stdout)
+    assert (found["skipped"], found["little"], found["states"]["done"]) == (3, 4, 7)
+    assert found["quantiles"]["grasps"]["most"] == 80
+    assert {each["object"] for each in found["least"]} == {f"part_0000{n}" for n in (2, 3, 4, 6)}
+
+
+def objects_of(result: Result) -> list[str]:
+    return [line.split()[0] for line in result.stdout.splitlines()[1:]]
+
+
+def test_the_table_of_objects_is_searched_sorted_and_cut_to_the_least(campaign: Path) -> None:
+    assert len(objects_of(info(campaign, "--objects"))) == 13
+    assert objects_of(info(campaign, "--objects", "--sort", "-grasps"))[0] == "part_00001"
+    assert objects_of(info(campaign, "--objects", "--search", "no grasp dropped")) == ["part_00004"]
+    assert objects_of(info(campaign, "--objects", "--search", "skipped", "--sort", "object")) == [
+        "cracked", "split", "torn",
+    ]  # fmt: skip
+    assert objects_of(info(campaign, "--objects", "--least", "2")) == ["part_00002", "part_00006"]
+    (one,) = json.loads(info(campaign, "--objects", "--search", "part_00007", "--json").stdout)
+    assert (one["state"], one["runs_done"], one["evaluations"]) == ("running", 1, 75)
+
+
+def test_the_table_is_written_as_csv(campaign: Path, tmp_path: Path) -> None:
+    file = tmp_path / "objects.csv"
+    assert "13 objects in" in info(campaign, "--objects", "--csv", file).stdout
+    with file.open(newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    assert [row["object"] for row in rows][:2] == ["part_00000", "part_00001"]
+    assert rows[2]["little"].startswith("no grasp: the open hand")
+    refusal = str(info(campaign, "--objects", "--csv", file).exception)
+    assert "is there already; name another file" in refusal
+    shown = info(campaign, "--objects", "--json", "--csv", tmp_path / "again.csv").stdout
+    assert len(json.loads(shown)) == 13
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--sort", "grasps"], "--sort does nothing without --objects"),
+        (["--objects", "--sort", "grabs"], "Unknown key to sort by 'grabs'"),
+        (["--csv", "x.csv"], "--csv does nothing without --objects"),
+    ],
+)
+def test_flags_of_the_table_that_do_nothing_are_refused(campaign: Path, flags: list[str], words: str) -> None:
+    assert words in str(info(campaign, *flags).exception)
+
+
+def test_a_run_has_no_table_of_objects(path: Path) -> None:
+    assert "--objects is about the objects of a campaign" in str(info(path, "--objects").exception)
+
+
+def test_finished_runs_are_not_counted_again(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = info(campaign, "--objects").stdout
+    counted = []
+    count = campaign_folder.run_listing
+    monkeypatch.setattr(
+        campaign_folder, "run_listing", lambda path, spec: counted.append(path.name) or count(path, spec)
+    )
+    assert info(campaign, "--objects").stdout == before
+    assert "allegro-part_00007-aimed" in {name.partition("-s0")[0] for name in counted}
+    assert len(counted) < len(list((campaign / "runs").iterdir()))

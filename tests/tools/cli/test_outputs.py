@@ -1,0 +1,263 @@
+"""Refusals of every command for a path that it cannot read or write."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import trimesh
+from tests.assets import example_hands
+from tests.coordinator.scenes import SceneMaker
+from tests.tools.export.foreign_files import ISAAC
+from tests.tools.report.test_row_report import OUTCOMES, run_of
+from typer.testing import CliRunner, Result
+
+from qdgrasp_coordinator.storage import outputs
+from qdgrasp_protocol.errors import NoFolder, OutputError
+from qdgrasp_tools.cli.main import app
+
+READERS = {
+    "info": (),
+    "digest": (),
+    "show": ("--grasp", "0"),
+    "view": ("--no-open",),
+    "export": ("--format", "csv", "--out", "never"),
+    "render": ("--grasp", "0", "--out", "never.png"),
+    "verify": (),
+    "prune": (),
+    "resume": (),
+    "rerank": ("--top", "1"),
+}
+
+
+def refusal(command: str, path: Path) -> str:
+    error = CliRunner().invoke(app, [command, str(path), *READERS[command]]).exception
+    assert isinstance(error, NoFolder), (command, error)
+    return str(error)
+
+
+@pytest.mark.parametrize("command", READERS)
+def test_a_folder_that_is_not_there_and_a_file_are_told_apart(command: str, tmp_path: Path) -> None:
+    nowhere, file = tmp_path / "nowhere", tmp_path / "run.sqlite"
+    file.write_bytes(b"")
+    assert refusal(command, nowhere) == (
+        f"There is no folder {nowhere}; `qdgrasp run --out {nowhere}` would begin a run there."
+    )
+    assert refusal(command, file) == f"{file} is no folder; name that of a run."
+    assert list(tmp_path.iterdir()) == [file]
+
+
+FILES = {
+    "evaluate": "evaluate --gripper panda --object mug --poses poses.npz --out OUT.npz",
+    "export": "export run --format csv -o OUT.csv",
+    "gripper new": "gripper new jaw.urdf -o OUT.toml",
+    "import": "import grasps.yaml --gripper panda --object mug -o OUT.npz",
+    "object check": "object check part.stl --no-parts --repaired OUT.stl",
+    "render": "render run --grasp 1 -o OUT.png",
+}
+"""Commands that write a file, by name."""
+FOLDERS = {
+    "campaign": "campaign campaign.toml --out OUT",
+    "export graspgen": "export run --format graspgen -o OUT",
+    "merge": "merge run --out OUT",
+    "rerank": "rerank run --out OUT",
+    "run": "run --gripper panda --object mug --evaluations 10 --out OUT",
+    "security init": "security init OUT",
+}
+"""Commands that write a folder."""
+SHARED = {
+    "analyse": "analyse run --out OUT",
+    "asset check": "asset check mug --pictures OUT",
+    "gripper check": "gripper check jaw.urdf --picture OUT",
+    "object check": "object check part.stl --picture OUT",
+}
+"""Commands that put files into a folder beside others."""
+ADDING = {"reference build": "reference build run --out OUT.npz"}
+"""Commands that add to a file."""
+KINDS: dict[str, Callable[[Path], object]] = {
+    "a folder": Path.mkdir,
+    "a link": lambda path: path.symlink_to("jaw.urdf"),
+    "a device or pipe": os.mkfifo,
+}
+"""Things that may be in the place of a file, and functions that make them."""
+CAMPAIGN = '[[cross]]\ngripper = "panda"\nobject = "mug"\nmethod = "me_rand"\n'
+MAKING = ("export", "export graspgen", "import", "object check", "security init")
+"""Commands that are quick enough to be carried out here."""
+
+
+@pytest.fixture
+def home(tmp_path: Path, make_scene: SceneMaker, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with all that the commands read."""
+    run_of(tmp_path / "run", make_scene(), OUTCOMES)
+    (tmp_path / "jaw.urdf").write_text(example_hands.JAW_URDF)
+    (tmp_path / "grasps.yaml").write_text(ISAAC)
+    (tmp_path / "campaign.toml").write_text(CAMPAIGN)
+    trimesh.creation.box((0.04, 0.05, 0.06)).export(tmp_path / "part.stl")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
+    return tmp_path
+
+
+def done(command: str, out: str) -> Result:
+    return CliRunner().invoke(app, command.replace("OUT", out).split())
+
+
+def refused(command: str, out: str = "out") -> str:
+    error = done(command, out).exception
+    assert isinstance(error, OutputError), error
+    assert error.exit_code == 2
+    return str(error)
+
+
+def written(command: str, out: str = "out") -> Path:
+    """The path that a command is to write to."""
+    return Path(next(word for word in command.split() if "OUT" in word).replace("OUT", out))
+
+
+def flag(command: str) -> str:
+    return next((name for name in ("--repaired", "--pictures", "--picture") if name in command), "--out")
+
+
+def each(*tables: dict[str, str]) -> pytest.MarkDecorator:
+    found = {f"{name} {flag(command)}": command for table in tables for name, command in table.items()}
+    return pytest.mark.parametrize("command", found.values(), ids=found)
+
+
+@pytest.mark.usefixtures("home")
+@each(FILES, FOLDERS, SHARED, ADDING)
+def test_a_path_below_a_file_is_refused(command: str) -> None:
+    Path("taken").write_text("mine")
+    out = written(command, "taken/new/out")
+    assert refused(command, "taken/new/out").startswith(
+        f"{out} lies below {Path('taken').absolute()}, which is a file; name another path"
+    )
+    assert Path("taken").read_text() == "mine"
+
+
+@pytest.mark.usefixtures("home")
+@each(FILES, FOLDERS, SHARED, ADDING)
+def test_a_folder_that_may_not_be_written_in_is_refused(command, home, monkeypatch) -> None:
+    monkeypatch.setattr(outputs.os, "access", lambda path, _: Path(path) != home)
+    out = written(command, "new/out")
+    assert refused(command, "new/out").startswith(
+        f"{out} cannot be written: {home} is not to be written in; name another path"
+    )
+    assert not Path("new").exists()
+
+
+@pytest.mark.usefixtures("home")
+@each(FOLDERS, SHARED, {"export": "export run --format csv -o OUT"})
+def test_nothing_is_written_to_standard_output(command: str) -> None:
+    assert refused(command, "-").startswith(
+        "- would be standard output, where no output goes; name another path"
+    )
+    assert not Path("-").exists()
+
+
+@pytest.mark.usefixtures("home")
+@each(FILES)
+def test_a_file_that_is_there_stays(command: str) -> None:
+    out = written(command)
+    out.write_text("mine")
+    force = "" if flag(command) == "--repaired" else ", or replace it with --force"
+    assert refused(command) == f"{out} is there already; name another path with {flag(command)}{force}."
+    assert out.read_text() == "mine"
+
+
+@pytest.mark.usefixtures("home")
+@each({name: FILES[name] for name in ("evaluate", "export", "import")}, ADDING)
+def test_a_file_takes_the_place_of_no_part_of_a_run(command: str) -> None:
+    journal = Path("run/run.sqlite").read_bytes()
+    force = "" if command in ADDING.values() else " --force"
+    for name in ("run.sqlite", "spec.toml", "job.json"):
+        out = command.replace("OUT.npz", f"run/{name}").replace("OUT.csv", f"run/{name}")
+        assert refused(out + force) == (
+            f"run/{name} is part of a run or of a campaign; name another path with --out."
+        )
+    assert Path("run/run.sqlite").read_bytes() == journal
+
+
+@pytest.mark.usefixtures("home")
+@pytest.mark.parametrize(
+    ("command", "read"),
+    [
+        ("evaluate --gripper panda --object part.stl --poses poses.npz --out OUT --force", "poses.npz"),
+        ("evaluate --gripper panda --object part.stl --poses poses.npz --out OUT --force", "part.stl"),
+        ("import grasps.yaml --gripper hand.toml --object part.stl -o OUT --force", "grasps.yaml"),
+        ("import grasps.yaml --gripper hand.toml --object part.stl -o OUT --force", "hand.toml"),
+        ("import grasps.yaml --gripper hand.toml --object part.stl -o OUT --force", "part.stl"),
+        ("gripper new urdf.toml -o OUT --force", "urdf.toml"),
+    ],
+)
+def test_a_file_takes_the_place_of_none_that_is_read(command: str, read: str) -> None:
+    for name in {"poses.npz", "hand.toml", "urdf.toml"} & {read}:
+        Path(name).write_text("mine")
+    before = Path(read).read_bytes()
+    assert refused(command, read) == (f"{read} is a file that is read here; name another path with --out.")
+    assert Path(read).read_bytes() == before
+
+
+@pytest.mark.usefixtures("home")
+@each(FILES, ADDING)
+def test_a_file_takes_the_place_of_no_folder_link_or_pipe(command: str) -> None:
+    out, has_force = written(command), command not in ADDING.values() and flag(command) != "--repaired"
+    for what, make in KINDS.items():
+        make(out)
+        words = f"{out} is {what}, where a file is to be written; name another path with {flag(command)}."
+        assert {refused(command), refused(command + " --force" * has_force)} == {words}
+        assert out.is_fifo() or out.is_symlink() or out.is_dir()
+        out.rmdir() if what == "a folder" else out.unlink()
+
+
+@pytest.mark.usefixtures("home")
+@each(FOLDERS, SHARED)
+def test_a_folder_takes_the_place_of_no_file(command: str) -> None:
+    Path("out").write_text("mine")
+    ending = f" with {flag(command)}." if command in SHARED.values() else ""
+    words = f"out is a file, where a folder is to be written; name another path{ending}"
+    assert refused(command).startswith(words)
+    assert Path("out").read_text() == "mine"
+
+
+@pytest.mark.usefixtures("home")
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        ("asset check mug --pictures out", "mug"),
+        ("gripper check jaw.urdf --picture out", "jaw"),
+        ("object check part.stl --picture out", "part"),
+    ],
+)
+def test_a_picture_takes_the_place_of_none_that_others_made(command: str, name: str) -> None:
+    Path("out").mkdir()
+    theirs = Path(f"out/{name}.png")
+    theirs.write_bytes(b"\x89PNG, mine")
+    assert refused(command).startswith(
+        f"{theirs} is there already, and was not made by qdgrasp; name another path with --picture"
+    )
+    assert theirs.read_bytes() == b"\x89PNG, mine"
+
+
+@pytest.mark.usefixtures("home")
+@each(FOLDERS)
+def test_a_folder_takes_the_place_of_no_other_files(command: str) -> None:
+    Path("out").mkdir()
+    Path("out/thesis").write_text("mine")
+    assert refused(command).startswith("out holds other files (thesis); name another path")
+    assert Path("out/thesis").read_text() == "mine"
+
+
+@pytest.mark.usefixtures("home")
+@each({name: command for name, command in {**FILES, **FOLDERS}.items() if name in MAKING})
+def test_folders_on_the_way_are_made(command: str) -> None:
+    assert done(command, "new/folder/out").exit_code == 0
+    assert written(command, "new/folder/out").exists()
+
+
+@pytest.mark.parametrize("name", ["export", "gripper new", "import", "object check"])
+def test_what_is_refused_for_another_reason_makes_no_folder(home: Path, name: str) -> None:
+    for file in ("jaw.urdf", "grasps.yaml", "run/run.sqlite", "part.stl"):
+        (home / file).write_text("damaged")
+    before = sorted(home.iterdir())
+    assert done(FILES[name], "new/folder/out").exit_code != 0
+    assert sorted(path for path in home.iterdir() if path.name != "cache") == before

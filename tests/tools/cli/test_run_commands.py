@@ -1,0 +1,204 @@
+"""`qdgrasp rerank`, `prune`, `jobs` and orders to a job: their output and refusals."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import made_scene
+from tests.tools.monitor.sample_jobs import values, views
+from typer.testing import CliRunner, Result
+
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.scene import pack_scene
+from qdgrasp_coordinator.search.registry import check_spec
+from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.errors import FolderError, InputError, NoReply
+from qdgrasp_protocol.messages import Order, OrderReply
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_tools.cli import job_commands, options, run_commands
+from qdgrasp_tools.cli.main import app
+from qdgrasp_tools.cli.run_commands import rerank_spec
+
+SPEC = RunSpec(
+    gripper="panda", object="tennis_ball", mass=0.07, method="contact_me_scs", seed=5, no_new_cell=9
+)
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> RunFolder:
+    """A run that has recorded a success, and no grasp."""
+    scene = build_scene(SPEC)
+    bundle = pack_scene(scene)
+    folder = RunFolder.create(tmp_path / "source", SPEC, bundle)
+    shape = RowShape(len(layout(scene, "contact")), len(scene.gripper.joints))
+    rows = shape.empty(3)
+    rows["index"], rows["outcome"] = np.arange(3), [Outcome.OVERLAP, Outcome.DROPPED, Outcome.MISSED]
+    rows["base_to_object"][:, 6] = 1
+    with JournalWriter.create(
+        folder.path, JournalIdentity("run", to_toml(SPEC), bundle.digest, shape)
+    ) as journal:
+        journal.append(JournalSlice(0, rows), 1, 0.0)
+    return folder
+
+
+def rerank(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["rerank", *map(str, arguments)])
+
+
+def test_a_run_without_a_grasp_has_nothing_to_score_again(source: RunFolder, tmp_path: Path) -> None:
+    refused = rerank(source.path, "--out", tmp_path / "again").exception
+    assert isinstance(refused, InputError)
+    assert "has found no grasp (fitness 1 or more)" in str(refused)
+    assert not (tmp_path / "again").exists()
+
+
+def test_a_folder_that_holds_a_run_is_never_written_over(source: RunFolder) -> None:
+    refused = rerank(source.path, "--out", source.path).exception
+    assert isinstance(refused, FolderError)
+    assert "holds a run already" in str(refused)
+
+
+def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) -> None:
+    with source.journal() as journal:
+        chosen: Rows = journal.rows(0, 3)
+    spec = rerank_spec(source, chosen, None, protocol="robust", trials="sequential", finalists=2)
+    check_spec(spec)
+    assert spec.no_new_cell is None
+    assert (spec.gripper, spec.object, spec.mass, spec.seed) == ("panda", "tennis_ball", 0.07, 5)
+    assert (spec.method, spec.protocol, spec.evaluations, spec.population) == ("given", "robust", 3, 3)
+    assert (spec.stages, spec.finalists) == ((10, 30, 100), 2)
+    assert spec.poses == ((0, 0, 0, 0, 0, 0, 1),) * 3
+
+
+@pytest.mark.parametrize(
+    ("flags", "trials"),
+    [
+        ("--protocol robust", None),
+        ("--protocol robust --aim-for eta", "sequential"),
+        ("--protocol robust --aim-for eta --trials all", "all"),
+        ("--protocol robust --trials sequential --finalists 7", "sequential"),
+        ("SPEC --seed 3", None),
+    ],
+)
+def test_trials_are_sequential_where_eta_is_asked_for_and_no_spec_says_otherwise(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flags: str, trials: str | None
+) -> None:
+    found: list[RunSpec] = []
+    monkeypatch.setattr(run_commands, "start_run", lambda spec, *_: found.append(spec))
+    file = tmp_path / "spec.toml"
+    file.write_text('protocol = "robust"\naim_for = "eta"\n')
+    scene = ["--gripper", "panda", "--object", "mug"]
+    CliRunner().invoke(
+        app, ["run", *flags.replace("SPEC", str(file)).split(), *scene], catch_exceptions=False
+    )
+    assert [spec.trials for spec in found] == [trials]
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ("--trials sequential", "trials = 'sequential' is for the protocol 'robust', and 'physical' has no"),
+        ("--protocol robust --finalists 3", "or take trials = 'sequential'"),
+        ("--protocol robust --trials some", "trials must be one of 'all', 'sequential', got 'some'"),
+    ],
+)
+def test_trials_that_cannot_be_are_refused(flags: str, words: str) -> None:
+    done = CliRunner().invoke(app, ["run", "--gripper", "panda", "--object", "mug", *flags.split()])
+    assert isinstance(done.exception, InputError)
+    assert words in str(done.exception)
+
+
+@pytest.mark.parametrize(("rows", "words"), [(60, "Hardly any room is free; "), (6000, " MB are free; ")])
+def test_room_is_told_where_there_is_some(tmp_path, make_scene, rows, words) -> None:
+    folder = record(tmp_path / "run", make_scene(), random_rows(rows), evaluations=rows)
+    done = CliRunner().invoke(app, ["prune", str(folder.path)])
+    assert done.exit_code == 0, done.output
+    assert f"{words}{folder.path} keeps successes alone." in done.stdout
+    assert "0.0" not in done.stdout
+
+
+EVIL = "\x1b[2J"
+
+
+@contextmanager
+def session(*_: object) -> Iterator[SimpleNamespace]:
+    """A session at a coordinator whose answer holds control characters."""
+    yield SimpleNamespace(ask=lambda *_, **__: messages.encode(OrderReply(words=f"Done. {EVIL}")))
+
+
+def test_what_a_coordinator_says_of_its_job_is_escaped(monkeypatch, capsys) -> None:
+    monkeypatch.setattr(job_commands, "open_session", session)
+    monkeypatch.setattr(job_commands, "reachable_jobs", lambda _: views(values(trouble=EVIL)))
+    job_commands.jobs(connect="tcp/127.0.0.1:1")
+    said = capsys.readouterr().out
+    assert r"paused: \x1b[2J" in said
+    assert EVIL not in said
+
+
+def test_what_it_answers_to_an_order_is_escaped(monkeypatch, capsys, tmp_path) -> None:
+    monkeypatch.setattr(job_commands, "open_session", session)
+    job_commands.send_order("mugs", "tcp/127.0.0.1:1", tmp_path, Order(act="pause"))
+    assert capsys.readouterr().out == "Done. \\x1b[2J\n"
+
+
+def test_a_job_that_answers_late_is_known_and_may_still_carry_an_order_out(monkeypatch, tmp_path) -> None:
+    def silent(*_: object, **__: object) -> None:
+        raise NoReply("no answer")
+
+    @contextmanager
+    def waiting(*_: object) -> Iterator[SimpleNamespace]:
+        yield SimpleNamespace(ask=silent)
+
+    monkeypatch.setattr(job_commands, "open_session", waiting)
+    monkeypatch.setattr(job_commands, "reachable_jobs", lambda _: views(values()))
+    (known,) = views(values())
+    for job, words in (
+        (known.job, "did not answer in time, and may still"),
+        ("other", "Unknown job 'other'"),
+    ):
+        with pytest.raises(InputError, match=words):
+            job_commands.send_order(job, "tcp/127.0.0.1:1", tmp_path, Order(act="pause"))
+
+
+ON_DEVICE = ("--gripper", "panda", "--object", "mug", "--protocol", "physical", "--engine", "mujoco-warp")
+
+
+@pytest.mark.parametrize("given", [(), ("--workers", "2")])
+def test_a_run_of_which_no_worker_would_have_the_engine_is_not_begun(tmp_path, monkeypatch, given) -> None:
+    monkeypatch.delenv("QDGRASP_DEVICE", raising=False)
+    refused = CliRunner().invoke(app, ["run", *ON_DEVICE, *given, "--out", str(tmp_path / "run")]).exception
+    assert isinstance(refused, InputError)
+    assert "The engine mujoco-warp needs a worker with a device: set QDGRASP_DEVICE=cuda" in str(refused)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_one_worker_is_started_for_a_device_and_none_is_needed_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("QDGRASP_DEVICE", "cuda")
+    assert options.worker_count(None, None, "mujoco-warp") == 1
+    monkeypatch.delenv("QDGRASP_DEVICE")
+    assert options.worker_count(0, "mujoco-warp") == 0
+    assert options.worker_count(3, "mujoco") == 3
+
+
+@pytest.mark.parametrize(("errors", "said"), [(0, ""), (1, "failed on 1 row,"), (3, "failed on 3 rows,")])
+def test_a_run_with_errors_says_so_at_its_end(tmp_path, capsys, errors: int, said: str) -> None:
+    rows = random_rows(20)
+    rows["outcome"] = Outcome.MISSED
+    rows["outcome"][:errors] = Outcome.ERROR
+    folder = record(tmp_path / "run", made_scene(), rows, evaluations=20 - errors)
+    run_commands.print_result(folder, Stop())
+    told = capsys.readouterr().out
+    assert ("The simulator failed" in told) == bool(errors)
+    assert said in told
+    assert (f"`qdgrasp verify {folder.path}`" in told.replace("\n", " ")) == bool(errors)

@@ -1,0 +1,305 @@
+"""`qdgrasp export`: the grasps that it takes, the files that it writes, and its refusals."""
+
+import csv
+import os
+import shutil
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from tests.coordinator.recorded_runs import record
+from tests.tools.export.conftest import MakeRun, random_rows
+from tests.tools.export.independent_readers import READERS
+from typer.testing import CliRunner, Result
+
+import qdgrasp
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.storage.engine_table import write_table
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.rows import SHAKES, TRIALS, Outcome, Rows
+from qdgrasp_tools.campaign.merge_prune import merge_runs, prune_run
+from qdgrasp_tools.cli.main import app
+from qdgrasp_tools.export.exporter import FORMATS, export_run
+from qdgrasp_tools.export.grasp_reader import GraspReader, read_run
+
+each_format = pytest.mark.parametrize("name", FORMATS)
+FINISHED = {"evaluations": 16, "overlaps": "count"}
+
+
+def command(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["export", *map(str, arguments)])
+
+
+def there(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def refusal(run: Path, name: str, out: Path, *more: object) -> str:
+    error = command(run, "--format", name, "-o", out, *more).exception
+    assert isinstance(error, InputError)
+    return str(error)
+
+
+@each_format
+def test_the_command_writes_a_file_and_says_what_is_begun_and_in_it(run, tmp_path, monkeypatch, name) -> None:
+    told, out = list[str](), tmp_path / "out"
+    monkeypatch.setattr(
+        "qdgrasp_tools.cli.grasp_commands.progress_messages", lambda: nullcontext(told.append)
+    )
+    said = command(run.path, "--format", name, "-o", out)
+    assert said.exit_code == 0, said.exception
+    assert said.stdout.startswith("4 grasps")
+    assert said.stdout.endswith(f"written to {out}, poses in the object's mesh frame.\n")
+    assert out.is_dir() == (name == "graspgen")
+    assert told == [f"reading {run.path}", f"writing {10 if out.is_dir() else 4} evaluations to {out}"]
+
+
+@each_format
+def test_what_is_there_is_replaced_by_force_alone(run: RunFolder, tmp_path: Path, name: str) -> None:
+    out = tmp_path / "out"
+    export_run(run, out, name)
+    assert f"{out} is there already" in refusal(run.path, name, out)
+    assert command(run.path, "--format", name, "-o", out, "--min-fitness", 2, "--force").exit_code == 0
+    assert there(tmp_path) == ["out", "run"]
+    assert np.count_nonzero(READERS[name](out).quality) == 2
+
+
+@each_format
+def test_what_fails_on_the_way_leaves_nothing_and_what_was_there_as_it_was(run, tmp_path, monkeypatch, name):
+    form = FORMATS[name]
+
+    def half(path: Path, *arguments: object) -> None:
+        form.write(path, *arguments)  # type: ignore[arg-type]
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setitem(FORMATS, name, replace(form, write=half))
+    with pytest.raises(InputError, match="no space left on device"):
+        export_run(run, tmp_path / "out", name)
+    assert there(tmp_path) == ["run"]
+    monkeypatch.undo()
+    export_run(run, tmp_path / "out", name)
+    before = READERS[name](tmp_path / "out").matrices
+    monkeypatch.setitem(FORMATS, name, replace(form, write=half))
+    with pytest.raises(InputError):
+        export_run(run, tmp_path / "out", name, min_fitness=2, force=True)
+    np.testing.assert_array_equal(READERS[name](tmp_path / "out").matrices, before)
+
+
+def test_a_file_is_not_written_over_a_folder_nor_a_folder_over_other_files(run, tmp_path) -> None:
+    assert "is a folder, where a file is to be written" in refusal(run.path, "csv", tmp_path, "--force")
+    (tmp_path / "file").touch()
+    assert "is a file, where a folder is to be written" in refusal(
+        run.path, "graspgen", tmp_path / "file", "--force"
+    )
+    assert "holds other files" in refusal(run.path, "graspgen", run.path, "--force")
+    assert RunFolder.is_run(run.path)
+
+
+@each_format
+def test_what_is_no_ordinary_file_or_folder_is_not_replaced_even_by_force(run, tmp_path, name) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    export_run(run, tmp_path / "there", name)
+    (tmp_path / "link").symlink_to(tmp_path / "there")
+    for out in ("pipe", "link"):
+        assert "name a" in refusal(run.path, name, tmp_path / out, "--force")
+    assert (tmp_path / "pipe").is_fifo()
+    assert (tmp_path / "link").is_symlink()
+
+
+def test_a_format_or_frame_that_is_none_is_refused_with_those_that_are(run, tmp_path) -> None:
+    out = tmp_path / "out"
+    assert refusal(run.path, "isac", out) == (
+        "Unknown format 'isac'. Did you mean 'isaac'? Known: acronym, csv, graspgen, isaac, moveit, parquet, "
+        "webdataset."
+    )
+    assert refusal(run.path, "csv", out, "--frame", "world") == ("Unknown frame 'world'. Known: com, mesh.")
+    assert "no place for failures" in refusal(run.path, "isaac", out, "--negatives", 1)
+
+
+def test_where_no_grasp_is_to_be_written_it_is_said_what_there_is(make_run: MakeRun, tmp_path: Path) -> None:
+    weak, none = make_run(*[Outcome.DROPPED] * 3, name="weak"), make_run(Outcome.MISSED, name="none")
+    out = tmp_path / "out"
+    assert refusal(weak.path, "csv", out) == (
+        f"{weak.path} has no grasp that survived as many disturbances: the best of its 3 successes "
+        "has fitness 0, and --min-fitness 0 writes those."
+    )
+    assert "there is no success among 1 row." in refusal(none.path, "csv", out)
+    assert not out.exists()
+    assert "there is no success among 0 rows" in refusal(make_run(name="new").path, "csv", out)
+
+
+@pytest.mark.parametrize("settings", [{"protocol": "physical"}, {"protocol": "robust", "base": "physical"}])
+def test_under_physical_grasps_survived_every_push_unless_it_is_asked(make_run, tmp_path, settings) -> None:
+    run, out = make_run(Outcome.SHAKEN, Outcome.MISSED, Outcome.HELD, **settings), tmp_path / "out"
+    for asked, expected in ((None, [6]), (1, [3, 6])):
+        export_run(run, out, "csv", min_fitness=asked, force=True)
+        assert READERS["csv"](out).beside["fitness"].astype(float).tolist() == expected
+        assert f"\n# min_fitness: {asked or 6}\n" in out.read_text()
+        assert qdgrasp.open(run.path).grasps(min_fitness=asked).fitness.tolist() == expected
+    weak = make_run(Outcome.SHAKEN, name="weak", **settings)
+    said = refusal(weak.path, "csv", tmp_path / "none")
+    assert said.endswith("--min-fitness 3 writes those, --min-fitness 1 all that survived some disturbance.")
+    rows = random_rows(run.scene(), [Outcome.SHAKEN, Outcome.HELD])  # a custom evaluator's: held, fitness 2
+    custom = record(tmp_path / "custom", run.scene(), rows, method="contact_rand", **settings)
+    assert export_run(custom, out, "csv", force=True).startswith("1 grasp ")
+    assert "\n# min_fitness: 2\n" in out.read_text()
+    assert command(weak.path, "--format", "csv", "-o", out, "--min-fitness", 7).exit_code == 2
+
+
+def test_a_folder_that_is_no_run_or_has_no_scene_is_refused(run: RunFolder, tmp_path: Path) -> None:
+    job = JobFolder.create(tmp_path / "job", "job")
+    out = tmp_path / "out"
+    assert "has no grasp to write" in refusal(job.path, "csv", out)
+    assert "holds no run" in refusal(tmp_path, "csv", out)
+    assert "There is no folder" in refusal(tmp_path / "none", "csv", out)
+    (run.path / "scene.bundle").unlink()
+    assert "scene.bundle cannot be read" in refusal(run.path, "csv", out)
+
+
+@pytest.mark.parametrize(
+    ("asked", "least", "expected"), [(None, 1, 6), (0, 1, 0), (3, 1, 3), (100, 1, 6), (None, 0, 6)]
+)
+def test_failures_are_written_once_as_many_as_are_asked_for(run, tmp_path, asked, least, expected) -> None:
+    export_run(run, tmp_path / "out", "graspgen", min_fitness=least, negatives=asked)
+    read = READERS["graspgen"](tmp_path / "out")
+    assert (np.count_nonzero(~read.quality), np.count_nonzero(read.quality)) == (expected, 4)
+    assert len(np.unique(read.matrices.reshape(-1, 16), axis=0)) == expected + 4
+
+
+def test_a_run_in_progress_gives_what_it_has_by_now(run: RunFolder, scene: Scene, tmp_path: Path) -> None:
+    with JournalWriter.open(run.path) as journal:
+        journal.begin_epoch(2, 2.0)
+        export_run(run, tmp_path / "one", "parquet")
+    assert len(READERS["parquet"](tmp_path / "one").matrices) == 4
+
+
+def test_a_run_of_a_campaign_gives_its_grasps_like_any_other(run: RunFolder, tmp_path: Path) -> None:
+    job = JobFolder.create(tmp_path / "job", "job")
+    one = shutil.copytree(run.path, job.run_path("jaw-block-s0"))
+    (one / "job.json").unlink()
+    assert command(one, "--format", "parquet", "-o", tmp_path / "out").exit_code == 0
+    assert set(READERS["parquet"](tmp_path / "out").beside["run"]) == {"jaw-block-s0"}
+
+
+def test_a_pruned_run_gives_the_same_grasps(make_run: MakeRun, tmp_path: Path) -> None:
+    run = make_run(*sorted([*Outcome, *Outcome]), **FINISHED)
+    before = read_run(run)
+    prune_run(run)
+    after = read_run(run)
+    assert after.rows.tobytes() == before.rows.tobytes()
+    assert after.starts.tobytes() == before.starts.tobytes()
+    assert after.numbers.tolist() == list(range(6))
+
+
+def test_of_merged_runs_each_genome_is_read_with_its_own_prior(make_run, scene, tmp_path) -> None:
+    contact = make_run(*[Outcome.HELD] * 16, name="contact", **FINISHED)
+    rows = random_rows(scene, [Outcome.SHAKEN] * 16, seed=1, prior="antipodal")
+    antipodal = record(tmp_path / "antipodal", scene, rows, method="antipodal_rand", **FINISHED)
+    merge_runs([contact, antipodal], tmp_path / "all")
+    merged, parts = (read_run(RunFolder.open(tmp_path / "all")), [read_run(antipodal), read_run(contact)])
+    assert [source.run for source in merged.sources] == ["antipodal", "contact"]
+    assert merged.starts.tobytes() == b"".join(part.starts.tobytes() for part in parts)
+    export_run(RunFolder.open(tmp_path / "all"), tmp_path / "out", "parquet")
+    table = READERS["parquet"](tmp_path / "out").beside
+    assert table["run"].tolist() == ["antipodal"] * 16 + ["contact"] * 16
+
+
+def trials_of(rows: Rows, totals: list[int]) -> Rows:
+    """The trials of successes, whose fitness sums up to these totals."""
+    repeated = np.repeat(rows, TRIALS)
+    repeated["trial"] = np.tile(np.arange(1, TRIALS + 1), len(rows))
+    held = repeated["trial"] <= np.repeat(totals, TRIALS) // SHAKES
+    repeated["fitness"] = np.where(held, SHAKES, 0)
+    return repeated
+
+
+def test_confidence_is_eta_where_all_trials_are_there(scene: Scene, tmp_path: Path) -> None:
+    rows = random_rows(scene, [Outcome.SHAKEN, Outcome.MISSED, Outcome.HELD, Outcome.HELD])
+    successes = rows[[0, 2, 3]]
+    journal = np.concatenate([rows, trials_of(successes, [150, 40, 90])[:-1]])  # the last trial is to come
+    run = record(tmp_path / "run", scene, journal, method="contact_rand", protocol="robust")
+    grasps = read_run(run)
+    np.testing.assert_allclose(grasps.eta, [0.75, 0.2, np.nan])
+    np.testing.assert_allclose(grasps.confidence, [0.75, 0.2, 1.0])
+    export_run(run, tmp_path / "out", "csv", top=1)
+    assert READERS["csv"](tmp_path / "out").quality.tolist() == [0.75]
+
+
+def test_grasps_read_by_number_are_those_of_the_whole_with_their_etas(scene, tmp_path) -> None:
+    settings = {"method": "contact_rand", "protocol": "robust", "evaluations": 3, "overlaps": "count"}
+    parts = []
+    for seed in (0, 1):
+        rows = random_rows(scene, [Outcome.HELD] * 3, seed)
+        journal = np.concatenate([rows, trials_of(rows, [150, 40 + 20 * seed, 90])])
+        parts.append(record(tmp_path / f"run{seed}", scene, journal, **settings))
+    merge_runs(parts, tmp_path / "all")
+    folder = RunFolder.open(tmp_path / "all")
+    whole, order = read_run(folder), np.array([4, 0, 5, 1, 3, 2])
+    assert np.unique(whole.eta).size > 3
+    with folder.journal() as journal:
+        found = GraspReader(folder, journal).at(whole.numbers[order])
+    assert found.origins.tolist() == [1, 0, 1, 0, 1, 0]
+    for name in ("rows", "eta", "trials", "starts", "numbers"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name)[order])
+
+
+def judge(run: RunFolder, *now: Outcome) -> None:
+    """Give the first successes of a run these verdicts in MuJoCo."""
+    found = read_run(run)[: len(now)]
+    rows = found.rows.copy()
+    rows["outcome"], rows["fitness"] = now, [max(0, one - Outcome.DROPPED) for one in now]
+    write_table(run, "mujoco", found.numbers, found.rows, rows)
+
+
+def test_only_what_holds_in_the_other_engine_is_written_and_what_is_not_known_is_counted(make_run, tmp_path):
+    run = make_run(*[Outcome.HELD] * 4, Outcome.SHAKEN, Outcome.DROPPED)
+    assert "run 'qdgrasp verify DIR --engine mujoco --all' first" in refusal(
+        run.path, "csv", tmp_path / "out.csv", "--holds-in", "mujoco"
+    )
+    pruned = make_run(Outcome.HELD, name="pruned", evaluations=1)
+    prune_run(pruned)
+    assert "it is merged or pruned" in refusal(pruned.path, "csv", tmp_path / "p.csv", "--holds-in", "mujoco")
+    judge(run, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD)
+    said = command(run.path, "--format", "csv", "-o", tmp_path / "out.csv", "--holds-in", "mujoco")
+    assert said.stdout.startswith("2 grasps written")
+    assert said.stdout.endswith("Left out: 2 grasps whose verdict in mujoco is not known.\n")
+    lines = [line for line in (tmp_path / "out.csv").read_text().splitlines() if not line.startswith("#")]
+    assert [line.split(",")[0] for line in lines] == ["number", "0", "2"]
+    judge(run, Outcome.OVERLAP, Outcome.SHAKEN, Outcome.DROPPED)
+    refused = refusal(run.path, "csv", tmp_path / "none.csv", "--holds-in", "mujoco")
+    assert "of 5 grasps 0 hold in mujoco, 2 are not known" in refused
+    assert "Unknown engine 'mujoca'" in refusal(run.path, "csv", tmp_path / "a", "--holds-in", "mujoca")
+
+
+@pytest.mark.parametrize("name", ["csv", "parquet"])
+def test_a_table_has_the_verdict_of_the_other_engine(make_run, tmp_path, name):
+    run = make_run(*[Outcome.HELD] * 3)
+    judge(run, Outcome.HELD, Outcome.OVERLAP)
+    export_run(run, tmp_path / "out", name)
+    if name == "csv":
+        lines = (tmp_path / "out").read_text().splitlines()
+        found = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+        values = [(each["mujoco_outcome"], each["mujoco_fitness"]) for each in found]
+        assert values == [("held", "2.0"), ("overlap", "0.0"), ("", "")]
+    else:
+        found = pq.read_table(tmp_path / "out")
+        assert found["mujoco_outcome"].to_pylist() == ["held", "overlap", None]
+        assert found["mujoco_fitness"].to_pylist() == [2, 0, None]
+
+
+def test_of_a_run_in_two_engines_those_that_hold_hold_in_both(make_run, tmp_path):
+    outcomes = [Outcome.HELD, Outcome.SHAKEN, Outcome.HELD]
+    run = make_run(*outcomes, protocol="physical", engine="mujoco,bullet")
+    for engine in ("bullet", "mujoco"):
+        said = export_run(run, tmp_path / engine, "csv", min_fitness=1, holds_in=engine)
+        assert said.startswith("2 grasps")
+        assert said.endswith(f"Left out: 1 grasp whose verdict in {engine} is not known.")
+    alone = make_run(*outcomes, name="alone", protocol="physical", engine="mujoco")
+    said = export_run(alone, tmp_path / "alone.csv", "csv", min_fitness=1, holds_in="mujoco")
+    assert said.endswith("Left out: 0 grasps whose verdict in mujoco is not known.")

@@ -1,0 +1,78 @@
+"""Frames of objects and hands."""
+
+import msgspec
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_assets.grippers.gripper_file import OriginalBase
+from qdgrasp_assets.scene import Jaw, Scene
+from qdgrasp_tools.export.frames import (
+    COM,
+    FRAMES,
+    MESH,
+    change_frame,
+    from_matrices,
+    jaw_turn,
+    original_base_poses,
+    scene_original_base,
+    to_matrices,
+    turn_hand_axes,
+)
+
+
+@pytest.fixture
+def poses() -> np.ndarray:
+    random = np.random.default_rng(0)
+    quaternions = Rotation.random(50, rng=random).as_quat()
+    return np.hstack([random.normal(size=(50, 3)), np.where(quaternions[:, 3:] < 0, -1, 1) * quaternions])
+
+
+def test_matrices_are_those_of_another_library_and_lead_back(poses: np.ndarray) -> None:
+    matrices = to_matrices(poses)
+    np.testing.assert_allclose(matrices[:, :3, :3], Rotation.from_quat(poses[:, 3:]).as_matrix(), atol=1e-14)
+    np.testing.assert_array_equal(matrices[:, 3], np.tile([0, 0, 0, 1], (50, 1)))
+    np.testing.assert_allclose(from_matrices(matrices), poses, atol=1e-14)
+
+
+def test_the_centre_of_mass_stands_where_the_mesh_has_it(poses: np.ndarray) -> None:
+    com = np.array([0.1, -0.2, 0.3])
+    at_com = np.zeros((1, 7))
+    np.testing.assert_array_equal(change_frame(at_com, com, COM, MESH)[0, :3], com)
+    for frame in FRAMES:
+        np.testing.assert_array_equal(change_frame(poses, com, frame, frame), poses)
+    there = change_frame(poses, com, COM, MESH)
+    np.testing.assert_allclose(change_frame(there, com, MESH, COM), poses, atol=1e-15)
+
+
+def test_poses_of_the_original_base_link_are_those_of_another_library(poses: np.ndarray) -> None:
+    turn = Rotation.from_rotvec([0.1, -0.4, 0.7])
+    base = OriginalBase(link="palm", position=(0.01, -0.08, 0.03), orientation=tuple(turn.as_quat()))
+    found = to_matrices(original_base_poses(poses, base))
+    offset = np.eye(4)
+    offset[:3, :3], offset[:3, 3] = turn.as_matrix(), base.position
+    np.testing.assert_allclose(found, to_matrices(poses) @ offset, atol=1e-12)
+
+
+def test_a_scene_tells_the_original_base_link_of_a_hand_that_was_given_another(scene: Scene) -> None:
+    assert scene_original_base(scene.gripper) is None
+    centred = """<robot name="hand"><link name="palm_centre"/><link name="palm"/>
+    <joint name="palm_centre_joint" type="fixed"><parent link="palm_centre"/><child link="palm"/>
+    <origin xyz="-0.08 0 0.01"/></joint></robot>"""
+    hand = msgspec.structs.replace(scene.gripper, urdf=centred, base_link="palm_centre")
+    assert scene_original_base(hand) == OriginalBase(link="palm", position=(-0.08, 0.0, 0.01))
+    other = msgspec.structs.replace(hand, urdf=centred.replace('"fixed"', '"revolute"'))
+    assert scene_original_base(other) is None
+
+
+AXES = {"Panda": ((0, 0, 1), (0, 1, 0)), "along x": ((1, 0, 0), (0, 0, -1)), "no jaw": ((0, -1, 0), None)}
+
+
+@pytest.mark.parametrize(("approach", "across"), AXES.values(), ids=AXES)
+def test_turned_axes_approach_along_z_and_open_along_x(scene: Scene, poses, approach, across) -> None:
+    jaw = across and Jaw(axis=tuple(map(float, across)), opening=0.1)
+    hand = msgspec.structs.replace(scene.gripper, approach_axis=tuple(map(float, approach)), jaw=jaw)
+    axes, links = (to_matrices(each)[:, :3, :3] for each in (turn_hand_axes(poses, jaw_turn(hand)), poses))
+    np.testing.assert_allclose(axes[:, :, 2], links @ approach, atol=1e-12)
+    if across:
+        np.testing.assert_allclose(axes[:, :, 0], links @ across, atol=1e-12)

@@ -1,0 +1,139 @@
+"""Progress of a job on a terminal and elsewhere."""
+
+import io
+import threading
+from queue import SimpleQueue
+
+import pytest
+from msgspec.structs import replace
+from rich.console import Console
+
+from qdgrasp_coordinator.metrics.job_status import JobStatus
+from qdgrasp_tools.local import progress
+from qdgrasp_tools.local.progress import LineProgress, LiveProgress, ProgressBar, repeat_latest
+
+EVIL = "\x1b[2J"
+FIGURES = JobStatus(
+    job="paper",
+    runs=1545,
+    runs_done=1233,
+    runs_failed=12,
+    runs_open=20,
+    evaluations=123_456_789,
+    budget=154_500_000,
+    remaining=31_043_211,
+    simulated=100_000_000,
+    proposals=987_654_321,
+    overlaps=20_000_000,
+    dead_ends=3_456_789,
+    successes=12_345_678,
+    grasps=2_345_678,
+    robust=1_345_678,
+    errors=0,
+    cells=1_234_567,
+    trials=0,
+    workers=256,
+    seconds=50_000.0,
+    rate=2400.0,
+    seconds_left=12_935.0,
+)
+
+
+def seen(figures: JobStatus, width: int = 80) -> list[str]:
+    """The lines on a terminal."""
+    console = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
+    bar = ProgressBar(console)
+    LiveProgress(bar, "paper", figures.budget).show(figures)
+    with console.capture() as captured:
+        console.print(*bar.get_renderables())
+    return [line.rstrip() for line in captured.get().splitlines()]
+
+
+def test_a_terminal_shows_a_bar_with_the_time_left_and_every_figure_below_it() -> None:
+    bar, *words = seen(FIGURES)
+    assert bar.startswith("paper ━")
+    assert bar.endswith("80 %  about 3 h 40 min left")
+    assert " ".join(words).split() == FIGURES.words.split()
+
+
+@pytest.mark.parametrize("width", [40, 80, 200])
+def test_no_line_is_wider_than_the_terminal(width: int) -> None:
+    assert max(map(len, seen(FIGURES, width))) <= width
+
+
+def test_figures_name_failed_runs_only_where_there_are_some() -> None:
+    assert FIGURES.words.startswith("1233 of 1545 runs and 12 failed, 123456789 of 154500000 evaluations, ")
+    assert "failed" not in seen(replace(FIGURES, runs_failed=0))[1]
+
+
+def test_both_countings_are_shown() -> None:
+    words = "100000000 simulated of 987654321 proposals, 20000000 overlaps, 3456789 dead ends"
+    assert words in FIGURES.words
+
+
+def test_plain_lines_tell_of_trouble_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = LineProgress("paper")
+    lines.show(FIGURES)
+    lines.show(FIGURES)
+    lines.show(replace(FIGURES, trouble="no recorder answers"))
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 2
+    assert "paused: no recorder answers" in said[1]
+
+
+def test_a_job_whose_recorder_is_still_on_its_way_is_starting(capsys: pytest.CaptureFixture[str]) -> None:
+    early = replace(FIGURES, state="starting", seconds=1.0)
+    lines = LineProgress("paper")
+    lines.show(early)
+    lines.show(replace(early, trouble="no recorder answers", seconds=2.0))
+    lines.show(replace(early, trouble="no recorder answers", seconds=60.0))
+    first, second = capsys.readouterr().err.splitlines()
+    assert ", starting, " in first
+    assert "paused: no recorder answers" in second
+
+
+def test_what_a_coordinator_says_is_escaped(capsys: pytest.CaptureFixture[str]) -> None:
+    figures = replace(FIGURES, trouble=EVIL)
+    LineProgress("paper").show(figures)
+    for said in (capsys.readouterr().err, "\n".join(seen(figures, 200))):
+        assert r"paused: \x1b[2J" in said
+        assert EVIL not in said
+
+
+def test_a_job_whose_runs_ended_early_is_done_when_nothing_remains() -> None:
+    over = replace(FIGURES, remaining=0)
+    assert seen(over)[0].endswith("100 %  nothing left")
+    assert (over.done, replace(FIGURES, evaluations=0).done) == (1.0, 0.0)
+
+
+PATIENCE = 60.0
+
+
+def test_the_latest_sentence_is_said_again_and_again_until_the_end() -> None:
+    said: SimpleQueue[str] = SimpleQueue()
+    with repeat_latest(said.put, 0.001) as tell:
+        tell("reading mugs.yaml")
+        lines = {said.get(timeout=PATIENCE) for _ in range(3)}
+        assert lines <= {"starting, 0 s", "reading mugs.yaml, 0 s"}
+        tell("writing")
+        while not said.get(timeout=PATIENCE).startswith("writing, "):
+            pass
+    assert "repeat-latest" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_what_is_done_soon_says_nothing_where_nobody_sees_it_move(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress.progress_messages() as tell:
+        tell("reading mugs.yaml")
+    assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_shows_it_and_is_left_clean(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = io.StringIO()
+    monkeypatch.setattr(
+        progress, "Console", lambda stderr: Console(file=terminal, force_terminal=True, width=60)
+    )
+    with progress.progress_messages() as tell:
+        tell("reading [mugs].yaml")
+    shown = terminal.getvalue()
+    assert "reading [mugs].yaml" in shown
+    assert shown.endswith("\x1b[2K")

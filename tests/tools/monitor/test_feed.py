@@ -1,0 +1,249 @@
+"""The feed: from the bus into the model of the jobs; and the overview."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+from tests.common import PATIENCE, own_endpoint, wait_for
+from tests.tools.monitor.sample_jobs import NOW, curve, figures, run, values, views
+
+from qdgrasp_coordinator.metrics.job_status import ObjectListings, to_json
+from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS
+from qdgrasp_protocol.bus import Bus, Channel, Query
+from qdgrasp_protocol.errors import NoReply
+from qdgrasp_protocol.keys import Keys, matches
+from qdgrasp_protocol.memory_bus import MemoryNetwork
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.campaign.object_library import SkippedObject
+from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
+from qdgrasp_tools.monitor.feed import SUBSCRIBED_KEYS, Feed, ObjectFeed, summary_lines
+from qdgrasp_tools.monitor.job_view import JobView
+
+MUGS = Keys("mugs")
+
+
+@contextmanager
+def coordinator(
+    bus: Bus, job: str = "mugs", epoch: int = 2, asked: list[str] | None = None
+) -> Iterator[None]:
+    """A coordinator that answers queries about its job."""
+    keys = Keys(job)
+    shown = values(job, epoch=epoch) | {keys.stat("curve/a"): to_json(curve("a", 3, 7))}
+
+    def answer(query: Query) -> dict[str, bytes]:
+        if asked is not None:
+            asked.append(query.key)
+        is_curves = matches(query.key, keys.stat("curve/a")) and "curve" in query.key
+        return {key: value for key, value in shown.items() if ("curve" in key) == is_curves}
+
+    with ExitStack() as stack:
+        for pattern in (keys.stat(), keys.meta, keys.recent):
+            stack.enter_context(bus.answer_values(pattern, answer))
+        stack.enter_context(bus.token(keys.coordinator_token(epoch)))
+        yield
+
+
+def say(bus: Bus, key: str, struct: object) -> None:
+    bus.put(key, to_json(struct), encoding="application/json", channel=Channel.MONITOR)  # type: ignore[arg-type]
+
+
+def until(feed: Feed, holds: Callable[[list[JobView]], bool]) -> list[JobView]:
+    """Wait for messages until the views meet a condition."""
+    deadline = time.monotonic() + PATIENCE
+    while not holds(found := feed.views()):
+        assert time.monotonic() < deadline, f"never so: {found}"
+        feed.wait(0.05)
+    return found
+
+
+def is_whole(views: list[JobView]) -> bool:
+    """Whether all answers of the coordinator have come."""
+    return bool(views) and "a" in views[0].curves and len(views[0].curves["a"].points) == 3
+
+
+def test_a_feed_that_begins_late_knows_all_that_there_is(network: MemoryNetwork) -> None:
+    with coordinator(network.session()), Feed(network.session()) as feed:
+        (view,) = until(feed, is_whole)
+    assert (view.state, view.meta.epoch, len(view.runs), len(view.workers)) == ("running", 2, 2, 9)
+
+
+def test_a_feed_hears_what_is_said_and_hears_it_no_more_when_it_is_over(network: MemoryNetwork) -> None:
+    with network.session() as bus, coordinator(bus), Feed(network.session()) as feed:
+        until(feed, is_whole)
+        say(bus, MUGS.stat("job"), figures(evaluations=1234))
+        say(bus, MUGS.stat("run/c"), run("c"))
+        (view,) = until(feed, lambda views: views[0].figures.evaluations == 1234 and len(views[0].runs) == 3)
+        assert view.history.evaluations[-1] == 1234
+    say(network.session(), MUGS.stat("job"), figures(evaluations=9999))
+    assert feed.views()[0].figures.evaluations == 1234
+
+
+def test_a_feed_of_one_job_hears_and_asks_nothing_of_others(network: MemoryNetwork) -> None:
+    asked: list[str] = []
+    with ExitStack() as stack:
+        bus = stack.enter_context(network.session())
+        stack.enter_context(coordinator(bus, "cubes", asked=asked))
+        stack.enter_context(coordinator(bus, "mugs"))
+        feed = stack.enter_context(Feed(network.session(), "mugs"))
+        until(feed, is_whole)
+        say(bus, Keys("cubes").stat("job"), figures(job="cubes"))
+        say(bus, MUGS.stat("job"), figures(evaluations=1234))
+        until(feed, lambda views: views[0].figures.evaluations == 1234)
+        assert [view.job for view in feed.views()] == ["mugs"]
+    assert asked == []
+
+
+def test_a_coordinator_that_goes_and_one_that_comes_are_seen(network: MemoryNetwork) -> None:
+    with network.session() as bus, Feed(network.session()) as feed:
+        with coordinator(bus, epoch=2):
+            until(feed, is_whole)
+        until(feed, lambda views: views[0].state == "gone")
+        with coordinator(bus, epoch=3):
+            (view,) = until(feed, lambda views: views[0].meta.epoch == 3 and views[0].state == "running")
+            assert view.silent < PATIENCE
+
+
+def test_a_feed_survives_that_it_is_cut_off(network: MemoryNetwork) -> None:
+    near = network.session()
+    with network.session() as bus, Feed(near) as feed, coordinator(bus):
+        until(feed, is_whole)
+        near.disconnect()
+        until(feed, lambda _: not feed.is_linked)
+        assert feed.views()[0].state != "gone"
+        near.reconnect()
+        say(bus, MUGS.stat("job"), figures(evaluations=1234))
+        until(feed, lambda views: feed.is_linked and views[0].figures.evaluations == 1234)
+
+
+def test_more_than_a_ring_holds_is_dropped_and_the_newest_is_known(network: MemoryNetwork) -> None:
+    with network.session() as bus, coordinator(bus), Feed(network.session()) as feed:
+        until(feed, is_whole)
+        for number in range(2 * SUBSCRIBED_KEYS["stat/job"]):
+            say(bus, MUGS.stat("job"), figures(evaluations=5000 + number))
+        last = 5000 + 2 * SUBSCRIBED_KEYS["stat/job"] - 1
+        until(feed, lambda views: views[0].figures.evaluations == last)
+
+
+def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts(network: MemoryNetwork) -> None:
+    done = threading.Event()
+    with network.session() as bus, Feed(network.session()) as feed:
+
+        def put() -> None:
+            for number in range(5000):
+                say(bus, MUGS.stat("job"), figures(evaluations=number))
+            done.set()
+
+        with feed._changed:  # a reader that does not get on
+            threading.Thread(target=put).start()
+            assert done.wait(PATIENCE)
+
+
+def test_waiting_ends_with_news_and_without_them(network: MemoryNetwork) -> None:
+    with network.session() as bus, Feed(network.session()) as feed:
+        while feed.wait(0.5):  # its first questions, which no process answers
+            pass
+        threading.Timer(0.1, say, (bus, MUGS.stat("job"), figures())).start()
+        assert feed.wait(PATIENCE)
+
+
+@pytest.mark.parametrize("restarts", [2])
+def test_a_feed_survives_restarts_of_the_router(restarts: int) -> None:
+    endpoint = own_endpoint()
+    with ExitStack() as stack:
+        router = stack.enter_context(ZenohBus.router(endpoint))
+        far = stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))
+        feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))))
+        stack.enter_context(coordinator(far))
+        until(feed, is_whole)
+        for turn in range(restarts):
+            router.close()
+            until(feed, lambda _: not feed.is_linked)
+            router = stack.enter_context(ZenohBus.router(endpoint))
+
+            def is_heard(views: list[JobView], number: int = 2000 + turn) -> bool:
+                say(far, MUGS.stat("job"), figures(evaluations=number))
+                return views[0].figures.evaluations == number
+
+            (view,) = until(feed, is_heard)
+            assert view.state == "running"
+
+
+def text(shown: dict[str, bytes]) -> str:
+    return "\n".join(line for view in views(shown) for line in summary_lines(view, NOW))
+
+
+def test_a_job_is_told_in_a_few_lines() -> None:
+    assert text(values(recorders=1)) == (
+        "mugs: running on head (process 7, epoch 2) for 1 d 1:02:03\n"
+        "  0 of 3 runs, 1000 of 3000 evaluations, 100/s, 0 successes in 5 cells, "
+        "0 simulated of 0 proposals, 0 overlaps, 0 dead ends, 9 workers, about 20 s left\n"
+        "  2 runs in progress: a 10/1000, b 10/1000\n"
+        "  workers: n0 2, n1 2, n2 1, n3 1, n4 1, n5 1 and 1 more (4 idle, 5 working)"
+    )
+
+
+def test_a_job_of_many_objects_tells_how_many_are_done() -> None:
+    specs = [RunSpec(gripper="panda", object=name) for name in "abc"]
+    finished = [ObjectRun(spec.object, spec, NO_TOTALS, is_done=True) for spec in specs]
+    waiting = ObjectRun("d", RunSpec(gripper="panda", object="d"))
+    objects = list_objects([*finished, waiting], [SkippedObject("torn", "torn.stl", "it is open", "")])
+    (view,) = views(values(scenes=4, scenes_done=3, trials=24))
+    assert [*summary_lines(view, NOW, objects)][3] == (
+        "  3 of 4 objects done, 1 skipped; 3 got little; 3 of 4 shapes; 1024 rows"
+    )
+    assert "  3 of 4 shapes; 1024 rows" in [*summary_lines(view, NOW)]
+
+
+def test_objects_are_read_in_a_thread_and_kept_where_nothing_answers() -> None:
+    (view,) = views(values())
+    answers = iter(
+        [ObjectListings(objects=list_objects([ObjectRun("a", RunSpec(gripper="panda", object="mug"))]))]
+    )
+
+    asked = threading.Event()
+
+    def read(job: str) -> ObjectListings:
+        asked.wait(PATIENCE)
+        found = next(answers, None)
+        if found is None:
+            raise NoReply("nobody answers")
+        return found
+
+    objects = ObjectFeed(read)
+    assert objects.objects(view) is None
+    asked.set()
+    wait_for(lambda: objects.objects(view) is not None)
+    objects._due.clear()
+    objects.objects(view)
+    wait_for(lambda: not objects._thread.is_alive())
+    assert [each.object for each in objects.objects(view)] == ["mug"]
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ({"recorders": 0}, "no recorder is there"),
+        ({"workers": 0}, "workers: none has joined"),
+        ({"state": "paused"}, "paused until `qdgrasp continue mugs`"),
+        ({"trouble": "the disk is full"}, "paused: the disk is full"),
+    ],
+)
+def test_what_keeps_a_job_from_going_on_is_told(more: dict[str, object], words: str) -> None:
+    assert words in text(values(**more))
+
+
+def test_jobs_are_told_by_name_and_values_of_others_are_left_out() -> None:
+    shown = values("mugs") | values("cubes") | {"qdgrasp/v1/odd/meta": b"[]", "else/where": b"{}"}
+    shown[Keys("mugs").stat("run/a")] = b"not JSON"
+    assert [(view.meta.job, len(view.runs)) for view in views(shown)] == [("cubes", 2), ("mugs", 1)]
+
+
+@pytest.mark.parametrize("since", [b"yesterday", b"2026-11-21T12:00:00", b"9999-99-99T00:00:00Z"])
+def test_a_job_that_began_at_no_time_is_left_out(since: bytes) -> None:
+    shown, key = values("mugs"), Keys("mugs").meta
+    shown[key] = shown[key].replace(b"2026-11-21T12:00:00Z", since)
+    assert since in shown[key]
+    assert views(shown) == []

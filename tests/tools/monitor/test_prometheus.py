@@ -1,0 +1,153 @@
+"""Metrics of a monitor for Prometheus."""
+
+import re
+import shutil
+import subprocess
+
+import pytest
+from msgspec import structs
+from prometheus_client.metrics_core import Metric
+from prometheus_client.parser import text_string_to_metric_families
+from tests.tools.monitor.sample_jobs import event, figures, run, values, views, worker
+
+from qdgrasp_coordinator.metrics.job_status import JobStatus, RunStatus, WorkerStatus, meanings
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.prometheus import MOST_RUNS, MOST_WORKERS, STATES, exposition
+
+STRANGE = 'a "quoted"\\ name\nof two lines, {labelled="so"} # HELP'
+UNITS = ("seconds", "bytes", "rows", "evaluations", "batches", "results")
+PROMTOOL = shutil.which("promtool")
+OUTCOMES = {one.name.lower(): int(one) for one in Outcome}
+
+
+@pytest.fixture
+def job() -> JobView:
+    (view,) = views(values())
+    return structs.replace(view, events=[event(1), event(7)], runs=[run("a", outcomes=OUTCOMES), run("b")])
+
+
+def text(*jobs: JobView) -> str:
+    return exposition(jobs)[0].decode()
+
+
+def read(text: str) -> dict[str, Metric]:
+    """The metrics by their names, as prometheus_client's own parser reads them."""
+    found = list(text_string_to_metric_families(text))
+    assert len({one.name for one in found}) == len(found)
+    return {one.name: one for one in found}
+
+
+def samples(text: str) -> dict[tuple[str, ...], float]:
+    """Return samples by the metric's name and the values of its labels, in their order."""
+    found = [sample for one in read(text).values() for sample in one.samples]
+    told = {(one.name, *(one.labels[label] for label in sorted(one.labels))): one.value for one in found}
+    assert len(told) == len(found)
+    return told
+
+
+def test_what_is_told_is_what_the_figures_say(job: JobView) -> None:
+    told = samples(text(job))
+    figures = {"up": 1, "job_evaluations_total": 1000, "job_budget_evaluations": 3000, "job_cells": 5}
+    figures |= {"job_events_total": 7, "job_start_time_seconds": job.meta.since.timestamp()}
+    assert {name: told[f"qdgrasp_{name}", "mugs"] for name in figures} == figures
+    assert told["qdgrasp_run_evaluations_total", "mugs", "b"] == 10
+    assert told["qdgrasp_job_info", "head", "mugs", "0"] == 1
+    assert told["qdgrasp_run_info", "panda", "mugs", "aimed", "mug", "paper", "a", "0"] == 1
+
+
+def test_of_all_states_a_job_is_in_one(job: JobView) -> None:
+    for state in STATES:
+        told = samples(text(structs.replace(job, state=state)))
+        held = {key[-1]: value for key, value in told.items() if key[0] == "qdgrasp_job_state"}
+        assert held == {each: float(each == state) for each in STATES}
+
+
+def test_the_runs_of_a_job_are_counted_by_state(job: JobView) -> None:
+    counts = figures(runs=9, runs_open=2, runs_done=3, runs_failed=1)
+    told = samples(text(structs.replace(job, figures=counts)))
+    found = {key[-1]: value for key, value in told.items() if key[0] == "qdgrasp_job_runs"}
+    assert found == {"open": 2, "done": 3, "failed": 1, "waiting": 3}
+
+
+def test_shapes_are_counted_by_state() -> None:
+    told = samples(text(*views(values(scenes=10, scenes_done=4, scenes_failed=1, scenes_seconds=72.5))))
+    states = {key[-1]: value for key, value in told.items() if key[0] == "qdgrasp_job_scenes"}
+    assert states == {"done": 4, "failed": 1, "waiting": 5}
+    assert told["qdgrasp_job_scenes_cpu_seconds_total", "mugs"] == 72.5
+
+
+def test_outcomes_are_told_one_by_one(job: JobView) -> None:
+    told = samples(text(job))
+    assert {how: told["qdgrasp_run_outcomes_total", "mugs", how, "a"] for how in OUTCOMES} == OUTCOMES
+
+
+def test_names_and_types_follow_the_conventions(job: JobView) -> None:
+    for line in text(job).splitlines():
+        assert re.fullmatch(r"(# (HELP|TYPE) )?qdgrasp_[a-z_]+[ {].+", line)
+    for name, one in read(text(job)).items():
+        assert one.type in ("counter", "gauge")
+        assert len(one.documentation.split()) >= 2
+        assert {sample.name for sample in one.samples} <= {f"{name}_total" if one.type == "counter" else name}
+        labels = {label for sample in one.samples for label in sample.labels}
+        assert labels.isdisjoint({"le", "quantile", "instance"})
+
+
+def test_a_unit_stands_at_the_end_of_a_name(job: JobView) -> None:
+    families = {name.removesuffix("_total") for name in read(text(job))}
+    with_unit = {name for name in families if any(unit in name for unit in ("seconds", "bytes", "rows"))}
+    assert with_unit
+    assert all(name.endswith(UNITS) for name in with_unit)
+
+
+@pytest.mark.parametrize("kind", [RunStatus, JobStatus, WorkerStatus])
+def test_words_come_from_where_the_figures_are_defined(kind: type, job: JobView) -> None:
+    told = {one.documentation for one in read(text(job)).values()}
+    assert len(told.intersection(meanings(kind).values())) >= 5
+
+
+def test_meanings_are_those_of_the_bases_too_each_in_one_line() -> None:
+    found = meanings(RunStatus)
+    assert found["successes"] == "A finger touches the object after closing."
+    assert found["durable"] == "Rows that the recorder reports to be on disk."
+    assert not any("\n" in words for words in found.values())
+
+
+def test_a_strange_name_comes_back_as_it_was(job: JobView) -> None:
+    meta = structs.replace(job.meta, host=STRANGE)
+    told = samples(text(structs.replace(job, workers=[worker(0, host=STRANGE)], meta=meta)))
+    assert told["qdgrasp_workers", STRANGE, "mugs", "working"] == 1
+    assert told["qdgrasp_job_info", STRANGE, "mugs", "0"] == 1
+
+
+def test_the_number_of_series_is_bounded_and_all_workers_are_counted(job: JobView) -> None:
+    many = [worker(number) for number in range(2 * MOST_WORKERS)]
+    runs = [run(f"r{number}") for number in range(2 * MOST_RUNS)]
+    told = samples(text(structs.replace(job, workers=many, runs=runs)))
+    assert sum(key[0] == "qdgrasp_worker_rows_total" for key in told) == MOST_WORKERS
+    shown = {key[-1] for key in told if key[0] == "qdgrasp_run_rows_total"}
+    assert shown == {f"r{number}" for number in range(MOST_RUNS, 2 * MOST_RUNS)}
+    assert sum(value for key, value in told.items() if key[0] == "qdgrasp_workers") == len(many)
+
+
+@pytest.mark.parametrize("state", ["silent", "gone", "ended", "cancelled"])
+def test_of_a_job_that_nobody_speaks_for_only_counts_are_left(job: JobView, state: str) -> None:
+    told = samples(text(structs.replace(job, state=state)))
+    assert told["qdgrasp_up", "mugs"] == 0
+    assert told["qdgrasp_job_evaluations_total", "mugs"] == 1000
+    names = {key[0] for key in told}
+    assert names.isdisjoint({"qdgrasp_workers", "qdgrasp_worker_rows_total", "qdgrasp_job_workers"})
+
+
+def test_several_jobs_stand_side_by_side_and_without_one_nothing_is_told() -> None:
+    assert samples(text()) == {}
+    told = samples(text(*views(values("mugs") | values("cubes"))))
+    assert {key[1] for key in told if key[0] == "qdgrasp_up"} == {"cubes", "mugs"}
+
+
+@pytest.mark.skipif(PROMTOOL is None, reason="promtool is not here; the other tests check names and types")
+def test_promtool_finds_nothing_wrong(job: JobView) -> None:
+    done = subprocess.run(
+        [str(PROMTOOL), "check", "metrics"], input=text(job), text=True, capture_output=True
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

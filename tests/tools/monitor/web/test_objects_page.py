@@ -1,0 +1,301 @@
+"""The table of objects: the server's answers, and the page in a browser."""
+
+import io
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from PIL import Image
+from tests import browser
+from tests.browser import PHONE, expect
+from tests.coordinator.recorded_campaigns import SKIPPED
+from tests.coordinator.scenes import made_scene
+from tests.tools.monitor.sample_jobs import event, run, values
+from tests.tools.monitor.web.conftest import (
+    STAGE,
+    FakeFeed,
+    FakeLibrary,
+    HandMadeRecords,
+    client,
+    serving,
+)
+from tests.tools.monitor.web.test_page import CONTRAST, NAMELESS
+
+from qdgrasp_coordinator.metrics.job_status import JobEvents, ObjectListings, RunListing, RunListings, to_json
+from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS
+from qdgrasp_protocol.errors import NoReply
+from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.spec import ObjectRecord, RunSpec
+from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
+from qdgrasp_tools.monitor.web.run_cache import ObjectPictures
+from qdgrasp_tools.rendering.views import object_picture
+
+Page = Any
+Look = Callable[..., Page]
+OBJECTS, HANDS, BUDGET = 300, ("panda", "allegro"), 400
+PARTS = "/api/jobs/parts/objects"
+GOOD = msgspec.structs.replace(
+    NO_TOTALS, evaluations=BUDGET, simulated=BUDGET, successes=200, grasps=100, robust=50, cells=40
+)
+OVERLAPPING = msgspec.structs.replace(NO_TOTALS, evaluations=BUDGET, overlaps=BUDGET)
+
+
+def library() -> list[ObjectRun]:
+    """Two runs for each object: of every seventh all poses overlap, and the last third has not begun."""
+    runs = []
+    for number in range(OBJECTS):
+        about = ObjectRecord(id=f"part_{number:03d}", category="mug" if number % 3 else "box")
+        found = OVERLAPPING if number % 7 == 6 else msgspec.structs.replace(GOOD, cells=40 + number)
+        for hand in HANDS:
+            file = f"/library/part_{number:03d}.stl"
+            spec = RunSpec(gripper=hand, object=file, mass=0.1, evaluations=BUDGET, about=about)
+            has_begun = number < 2 * OBJECTS // 3
+            runs.append(
+                ObjectRun(f"{hand}-part_{number:03d}-s0", spec, found if has_begun else None, has_begun)
+            )
+    return runs
+
+
+class ObjectLibrary(FakeLibrary):
+    """A library of the job `parts`; counts the pictures that it was asked for."""
+
+    def __init__(self) -> None:
+        self.listings = list_objects(library(), SKIPPED)
+        self.pictured: set[str] = set()
+        self.png = object_picture(made_scene(), 96)
+
+    def objects(self, job: str) -> ObjectListings:
+        if job != "parts":
+            raise NoReply("nobody answers")
+        return ObjectListings(objects=self.listings)
+
+    def object_runs(self, job: str, file: str) -> bytes:
+        names = next(each.names for each in self.listings if each.file == file)
+        listings = [
+            msgspec.convert(
+                msgspec.to_builtins(run(name, object=file, finished="its budget is spent")), RunListing
+            )
+            for name in names
+        ]
+        return to_json(RunListings(runs=listings))
+
+    def scene(self, job: str, run: str) -> bytes:
+        return msgspec.json.encode(STAGE)
+
+    def picture(self, job: str, run: str) -> bytes:
+        self.pictured.add(run)
+        return self.png
+
+
+@pytest.fixture
+def parts() -> FakeFeed:
+    """A job of a campaign over 300 objects, among others."""
+    feed = FakeFeed().step()
+    told = values("parts", 2 * OBJECTS, runs_done=400, scenes=OBJECTS, scenes_done=200, scenes_failed=1,
+                  building=["/library/part_250.stl"])  # fmt: skip
+    events = [
+        event(1, "Its parts are coarse.", kind="warning", object="/library/part_001.stl"),
+        event(2, "It has no parts.", kind="error", run="panda-part_299-s0", object="/library/part_299.stl"),
+        event(3, "It has no parts.", kind="error", run="allegro-part_299-s0", object="/library/part_299.stl"),
+    ]
+    told[Keys("parts").recent] = to_json(JobEvents(events=events))
+    feed.jobs.receive_answers(told, feed.now)
+    return feed
+
+
+@pytest.fixture(scope="module")
+def objects() -> ObjectLibrary:
+    return ObjectLibrary()
+
+
+def ask(feed: FakeFeed, objects: ObjectLibrary, headers: dict[str, str] | None = None, **asked: Any) -> Any:
+    return client(feed, library=objects).get(PARTS, params=asked, headers=headers)
+
+
+def names(answer: Any) -> list[str]:
+    return [each["object"] for each in answer.json()["objects"]]
+
+
+def test_objects_come_page_by_page_in_the_order_of_their_runs(parts, objects) -> None:
+    first, second, last, far = (ask(parts, objects, **{"from": n}) for n in (0, 50, 300, 99_999))
+    assert names(first) == [f"part_{n:03d}" for n in range(50)]
+    assert names(second)[0] == "part_050"
+    assert names(last) == names(far) == ["torn", "split", "cracked"]
+    counts = {key: first.json()[key] for key in ("first", "found", "total", "little", "uncounted")}
+    assert counts == {"first": 0, "found": 303, "total": 303, "little": 28, "uncounted": 0}
+
+
+def test_the_server_sorts_and_searches(parts, objects) -> None:
+    assert names(ask(parts, objects, sort="cells", down=1))[:2] == ["part_199", "part_198"]
+    assert names(ask(parts, objects, sort="note"))[:2] == ["part_006", "part_013"]
+    found = ask(parts, objects, search="box overlaps")
+    assert found.json()["found"] == 10
+    assert all(each["category"] == "box" for each in found.json()["objects"])
+    assert ask(parts, objects, search="no such object").json()["objects"] == []
+
+
+def test_an_unknown_column_is_refused_in_a_sentence(parts, objects) -> None:
+    answer = ask(parts, objects, sort="grabs")
+    assert (answer.status_code, "Known: cells" in answer.json()["error"]) == (404, True)
+
+
+def test_what_the_coordinator_says_stands_at_the_objects(parts, objects) -> None:
+    (coarse,), (failed,), (building,) = (
+        ask(parts, objects, search=f"part_{number}").json()["objects"] for number in ("001", "299", "250")
+    )
+    assert coarse["warnings"] == ["Its parts are coarse."]
+    assert (failed["state"], failed["runs_failed"], failed["warnings"]) == ("failed", 2, ["It has no parts."])
+    assert building["state"] == "building"
+    assert ask(parts, objects).json()["states"] == {
+        "failed": 1, "skipped": 3, "building": 1, "waiting": 98, "done": 200,
+    }  # fmt: skip
+
+
+def test_a_page_that_did_not_change_is_not_sent_again(parts, objects) -> None:
+    first = ask(parts, objects)
+    again = ask(parts, objects, {"If-None-Match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+    other = ask(parts, objects, {"If-None-Match": first.headers["etag"]}, search="part_001")
+    assert other.status_code == 200
+
+
+def test_a_job_without_a_recorder_has_no_table(parts, objects) -> None:
+    assert client(parts, library=objects).get("/api/jobs/mug/objects").status_code == 503
+
+
+def test_a_picture_shows_the_object_on_a_clear_ground() -> None:
+    picture = np.asarray(Image.open(io.BytesIO(object_picture(made_scene(), 64))))
+    assert picture.shape == (64, 64, 4)
+    assert (picture[0, 0, 3], picture[32, 32, 3]) == (0, 255)
+    assert 0.3 < (picture[..., 3] > 0).mean() < 0.95
+    edge = picture[(picture[..., 3] > 20) & (picture[..., 3] < 235)]
+    assert len(edge)
+    assert edge[:, 2].max() < 230  # clay, and not mixed with the white of the renderer
+
+
+def test_a_picture_is_rendered_once_and_kept_in_the_folder(tmp_path, monkeypatch) -> None:
+    records = HandMadeRecords(made_scene())
+    first = ObjectPictures(records, tmp_path, lambda: records.now).get("parts", "run")
+    monkeypatch.setattr("qdgrasp_tools.monitor.web.run_cache.object_picture", lambda *_: b"")
+    assert ObjectPictures(records, tmp_path, lambda: records.now).get("parts", "run") == first
+    kept = ObjectPictures(records, tmp_path / "file", lambda: records.now)
+    (tmp_path / "file").touch()
+    assert kept.get("parts", "run") == b""  # rendered, and kept in memory alone
+    monkeypatch.setenv("QDGRASP_CACHE", "~nobody-of-that-name/cache")
+    assert ObjectPictures(records, None, lambda: records.now).get("parts", "run") == b""
+
+
+def test_a_picture_comes_with_its_type_and_is_kept_by_the_browser(parts, objects) -> None:
+    answer = client(parts, library=objects).get("/api/jobs/parts/runs/panda-part_000-s0/picture")
+    assert (answer.headers["content-type"], answer.content) == ("image/png", objects.png)
+    assert "max-age" in answer.headers["cache-control"]
+    assert client(parts).get("/api/jobs/parts/runs/other/picture").status_code == 404
+
+
+@pytest.fixture
+def place(parts: FakeFeed, objects: ObjectLibrary) -> Iterator[str]:
+    objects.pictured.clear()
+    with serving(parts, library=objects) as address:
+        yield f"{address}/#job=parts"
+
+
+def shown(page: Page) -> list[str]:
+    return page.locator("#objects tbody a").all_text_contents()
+
+
+@browser.needed
+def test_the_page_shows_a_part_of_the_objects_and_goes_on(look: Look, place: str) -> None:
+    page = look(place)
+    expect(page.locator("#objects tbody tr")).to_have_count(50)
+    words = page.locator("#objects-words")
+    expect(words).to_have_text("303: 200 done, 1 building, 98 waiting, 1 failed, 3 skipped; 28 got little")
+    expect(page.locator("#done")).to_contain_text("200 of 300 shapes, 1 failed")
+    page.get_by_role("button", name="Next", exact=True).click()
+    expect(page.locator("#objects-range")).to_have_text("51 to 100 of 303")
+    assert shown(page)[0] == "part_050"
+    page.get_by_role("button", name="Previous", exact=True).click()
+    expect(page.locator("#objects-range")).to_have_text("1 to 50 of 303")
+    expect(page.get_by_role("button", name="Previous", exact=True)).to_be_disabled()
+
+
+@browser.needed
+def test_a_search_leaves_what_was_asked_for(look: Look, place: str) -> None:
+    page = look(place)
+    page.get_by_role("searchbox").fill("skipped remesh")
+    expect(page.locator("#objects-range")).to_have_text("1 to 2 of 2")
+    assert shown(page) == ["torn", "cracked"]
+    expect(page.locator("#objects td[data-name=note]").first).to_have_text(
+        "left out: it is not closed; mend: --remesh or --hull"
+    )
+    page.get_by_role("searchbox").fill("nothing at all")
+    expect(page.locator("#objects-range")).to_have_text("none found")
+
+
+@browser.needed
+def test_objects_are_sorted_by_keyboard_and_the_head_says_so(look: Look, place: str) -> None:
+    page = look(place)
+    head = page.locator("#objects th[data-name=cells]")
+    head.get_by_role("button").focus()
+    page.keyboard.press("Enter")
+    expect(head).to_have_attribute("aria-sort", "descending")
+    expect(page.locator("#objects tbody a").first).to_have_text("part_199")
+    page.keyboard.press("Enter")
+    expect(head).to_have_attribute("aria-sort", "ascending")
+    expect(page.locator("#objects tbody a").first).to_have_text("part_006")
+
+
+@browser.needed
+def test_pictures_are_asked_for_where_they_are_seen(look: Look, place: str, objects: ObjectLibrary) -> None:
+    page = look(place)
+    picture = page.locator("#objects img").first
+    page.wait_for_function("() => document.querySelector('#objects img')?.naturalWidth === 96")
+    expect(picture).to_have_attribute("src", "api/jobs/parts/runs/panda-part_000-s0/picture")
+    assert 0 < len(objects.pictured) <= 50
+    page.get_by_role("searchbox").fill("waiting")
+    expect(page.locator("#objects-range")).to_have_text("1 to 50 of 98")
+    assert page.locator("#objects img[src]").count() == 0  # there is no scene yet
+
+
+@browser.needed
+def test_an_object_leads_to_its_runs_and_back(look: Look, place: str) -> None:
+    page = look(place)
+    expect(page.locator("#runs-words")).to_contain_text("those that have ended are shown with their object")
+    page.get_by_role("link", name="part_003").click()
+    runs = page.locator("#runs tbody a")
+    expect(runs).to_have_text(["panda-part_003-s0", "allegro-part_003-s0"])
+    expect(page.locator("#runs-words")).to_have_text("2 runs of /library/part_003.stl have begun")
+    expect(page.locator("#objects tr[data-state~=chosen] a")).to_have_text("part_003")
+    runs.first.click()
+    expect(page.locator("#name")).to_have_text("panda-part_003-s0")
+    page.get_by_role("link", name="All runs").click()
+    expect(page.locator("#objects tr[data-state~=chosen]")).to_have_count(0)
+    expect(page.locator("#name")).to_have_text("parts")
+
+
+@browser.needed
+def test_a_job_without_a_table_of_objects_shows_none(look: Look, place: str) -> None:
+    page = look(place.replace("parts", "hands"))
+    expect(page.locator("#workers tbody tr").first).to_be_visible()
+    expect(page.locator("#objects-panel")).to_be_hidden()
+
+
+@browser.needed
+def test_a_phone_shows_the_table_without_scrolling_sideways(look: Look, place: str) -> None:
+    page = look(place, phone=True)
+    expect(page.locator("#objects tbody tr")).to_have_count(50)
+    assert page.evaluate("() => document.documentElement.scrollWidth") == PHONE["width"]
+    box = page.locator("#objects-panel .scroll")
+    width, room = box.evaluate("(node) => [node.scrollWidth, node.clientWidth]")
+    assert width <= room
+    expect(page.locator("#objects small.note").nth(6)).to_be_visible()
+
+
+@browser.needed
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_table_is_readable_and_whatever_can_be_used_has_a_name(look, place, theme) -> None:
+    page = look(place, color_scheme=theme)
+    expect(page.locator("#objects tbody tr")).to_have_count(50)
+    assert [(words, round(ratio, 2)) for words, ratio in page.evaluate(CONTRAST) if ratio < 4.5] == []
+    assert page.evaluate(NAMELESS) == []

@@ -1,0 +1,368 @@
+"""Data of the view in 3D."""
+
+from base64 import b64decode
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+from tests.tools.monitor.web.conftest import finds, random_finds
+
+from qdgrasp_assets.catalog import find_gripper
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS
+from qdgrasp_coordinator.storage.success_pages import SuccessTable
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_tools.monitor.web import scene_data
+from qdgrasp_tools.monitor.web.scene_data import (
+    HEADER,
+    BrowserScene,
+    VoxelPages,
+    browser_scene,
+    grasp_view,
+)
+from qdgrasp_tools.monitor.web.server import STATIC
+from qdgrasp_tools.rendering.hand_geometry import HandGeometry, hand_geometry
+
+
+def positions(mesh: scene_data.TriangleMesh) -> NDArray[np.float32]:
+    return np.frombuffer(b64decode(mesh.positions), "<f4").reshape(-1, 3)
+
+
+def indices(mesh: scene_data.TriangleMesh) -> NDArray[np.uint32]:
+    return np.frombuffer(b64decode(mesh.indices), "<u4").reshape(-1, 3)
+
+
+def scene_of(name: str, make_scene) -> Scene:
+    if name == "jaw":
+        return make_scene()
+    return replace(make_scene(), gripper=find_gripper(name).on_carrier("paper"))
+
+
+@pytest.mark.parametrize("name", ["jaw", "panda", "allegro", "barrett", "shadow"])
+def test_links_stand_where_pictures_draw_them(make_scene, name: str) -> None:
+    scene = scene_of(name, make_scene)
+    drawn, random = hand_geometry(scene.gripper), np.random.default_rng(7)
+    find = finds([4], [(3, -2, 7)], [Outcome.HELD], joints=len(scene.gripper.joints))[0]
+    for name in ("base_to_object", "settled"):
+        find[name][3:] = Rotation.random(random_state=random.integers(99)).as_quat()
+    for name in ("pregrasp", "joints"):
+        find[name] = [random.uniform(*sorted((j.opened, j.closed))) for j in scene.gripper.joints]
+    told = grasp_view(find, drawn, browser_scene(scene, drawn), [])
+    shown = {link.name: link for link in browser_scene(scene, drawn).links}
+    expected: dict[str, list[NDArray[np.float64]]]
+    for place, pose, joints in ((0, "base_to_object", "pregrasp"), (-1, "settled", "joints")):
+        expected = {}
+        for shape, vertices in drawn.place_meshes(find[pose].astype(float), find[joints].astype(float)):
+            expected.setdefault(shape.link, []).append(vertices)
+        assert told.frames.keys() - {told.base} == shown.keys() - {told.base}
+        assert shown.keys() == expected.keys()
+        for link, parts in expected.items():
+            frame = np.array(told.frames[link][place])
+            placed = Rotation.from_quat(frame[3:]).apply(positions(shown[link].mesh)) + frame[:3]
+            assert np.allclose(placed, np.concatenate(parts), rtol=0, atol=1e-6)
+
+
+@pytest.fixture
+def drawn(make_scene) -> HandGeometry:
+    return hand_geometry(make_scene().gripper)
+
+
+@pytest.fixture
+def stands(make_scene, drawn: HandGeometry) -> BrowserScene:
+    return browser_scene(make_scene(), drawn)
+
+
+def test_the_object_stands_in_its_centre_of_mass_frame(make_scene, stands: BrowserScene) -> None:
+    corners = positions(stands.mesh)[indices(stands.mesh)]
+    assert np.array_equal(corners, make_scene().object.triangles)
+    assert np.allclose(corners.min(axis=(0, 1)), stands.low, atol=1e-6)
+    assert np.allclose(corners.max(axis=(0, 1)), stands.high, atol=1e-6)
+
+
+def test_only_links_whose_contact_counts_are_fingers(stands: BrowserScene) -> None:
+    fingers = {link.name: link.finger for link in stands.links}
+    assert fingers == {"palm": False, "left_finger": True, "right_finger": True}
+
+
+def test_the_kinds_of_cells_are_all_successes_from_worst_to_best(stands: BrowserScene) -> None:
+    kinds = stands.kinds
+    assert [kind.outcome for kind in kinds] == [kind for kind in Outcome if kind.is_success]
+    assert len({kind.colour for kind in kinds}) == len({kind.words for kind in kinds}) == len(kinds)
+
+
+def test_a_grasp_says_all_that_is_known_of_it(make_scene, drawn: HandGeometry) -> None:
+    scene = replace(make_scene(), object=replace(make_scene().object, com_in_mesh=(0.0, 0.1, 0.0)))
+    stands = replace(browser_scene(scene, drawn), synergies=["pinch", "power"])
+    find = finds([41], [(3, -2, 7)], [Outcome.SHAKEN], synergies=1, etas=0.5)[0]
+    find["joints"] = [0.02, 0.01]
+    told = grasp_view(find, drawn, stands, ["qdgrasp show runs/mug --grasp 41"])
+    assert (told.number, told.outcome, told.fitness, told.cell) == (41, Outcome.SHAKEN, 1.0, [3, -2, 7])
+    assert np.allclose(told.commanded.position, [0.03, -0.02, 0.07])
+    assert told.commanded.quaternion == [0, 0, 0, 1]
+    assert told.joints == pytest.approx({"left": 0.02, "right": 0.01})
+    assert told.commands == ["qdgrasp show runs/mug --grasp 41"]
+    assert (told.base, told.synergy, told.eta) == ("palm", "power", 0.5)
+    assert np.allclose(told.commanded.position_in_mesh, [0.03, 0.08, 0.07])
+    assert (told.settled, told.moved, told.turned) == (None, None, None)
+
+
+def settled_find() -> np.void:
+    """A find whose hand went 3 cm down to the object and turned by 60 degrees about z while it closed."""
+    find = finds([41], [(0, 0, 7)], [Outcome.HELD], contacts=2, penetration=0.004)[0]
+    find["settled"] = (0, 0, 0.04, 0, 0, 0.5, np.sqrt(0.75))
+    find["pregrasp"], find["joints"] = (0.04, 0.04), (0.02, 0.01)
+    find["contact_links"] = (3, 0)
+    find["contact_points"][:7] = (0.01, 0, 0.02, 0, 0, -1, 12.5)
+    return find
+
+
+def test_a_grasp_says_how_closing_went(make_scene) -> None:
+    links = ("palm", "left_finger", "right_finger")
+    scene = replace(make_scene(), gripper=replace(make_scene().gripper, links=links))
+    hand = hand_geometry(scene.gripper)
+    told = grasp_view(settled_find(), hand, browser_scene(scene, hand), [], 0.25)
+    assert told.settled is not None
+    assert np.allclose(told.settled.position, [0, 0, 0.04])
+    assert (told.moved, told.turned) == pytest.approx((0.03, np.pi / 3))
+    assert (told.penetration, told.finger_links, told.margin) == (pytest.approx(0.004), 2, 0.25)
+    assert told.pregrasp == pytest.approx({"left": 0.04, "right": 0.04})
+    (contact,) = told.contacts
+    assert (contact.link, contact.finger, contact.force) == ("right_finger", True, 12.5)
+    assert contact.point == pytest.approx([0.01, 0, 0.02], abs=1e-5)
+
+
+def test_midway_the_hand_has_gone_and_turned_half_the_way_with_its_joints_half_closed(drawn, stands) -> None:
+    find = settled_find()
+    find["contact_links"] = 0
+    middle = {
+        name: poses[len(poses) // 2] for name, poses in grasp_view(find, drawn, stands, []).frames.items()
+    }
+    pose = np.array([0, 0, 0.055, 0, 0, np.sin(np.pi / 12), np.cos(np.pi / 12)])
+    for name, frame in drawn.link_frames(pose, np.array([0.03, 0.025])).items():
+        if name in middle:
+            assert np.allclose(middle[name][:3], frame[:3, 3], atol=1e-6)
+            assert np.allclose(Rotation.from_quat(middle[name][3:]).as_matrix(), frame[:3, :3], atol=1e-6)
+
+
+def test_the_frame_of_the_hand_s_base_is_its_pose(make_scene) -> None:
+    scene = scene_of("barrett", make_scene)
+    drawn = hand_geometry(scene.gripper)
+    find = finds([4], [(3, -2, 7)], [Outcome.HELD], joints=len(scene.gripper.joints))[0]
+    find["base_to_object"][3:] = Rotation.random(random_state=7).as_quat()
+    told = grasp_view(find, drawn, browser_scene(scene, drawn), [])
+    for pose in told.frames[told.base]:
+        assert np.allclose(pose[:3], [0.03, -0.02, 0.07], atol=1e-7)
+        assert np.allclose(np.abs(pose[3:]), np.abs(find["base_to_object"][3:]), atol=1e-6)
+
+
+def test_what_is_not_known_of_a_grasp_is_left_out(stands: BrowserScene, drawn: HandGeometry) -> None:
+    told = grasp_view(finds([4], [(3, -2, 7)], [Outcome.HELD])[0], drawn, stands, [])
+    assert (told.synergy, told.eta, told.margin, told.contacts) == ("", None, None, [])
+
+
+def test_the_page_has_the_colours_of_pictures() -> None:
+    style = (STATIC / "style.css").read_text()
+    for name, colour in zip(("dropped", "shaken", "held"), FITNESS_COLOURS, strict=True):
+        assert f"--{name}: {colour};" in style
+
+
+Cell = tuple[int, int, int]
+Shown = dict[int, tuple[Cell, int, int, float]]
+"""The cell, outcome, synergy and eta for each journal number."""
+PAGE = np.dtype(list(scene_data.PAGE_COLUMNS))
+
+
+def read(page: bytes) -> tuple[int, bool, Shown]:
+    """The serial to ask from next, whether there is more at once, and what a page shows."""
+    mark, n, upto, more, _, _ = HEADER.unpack_from(page)
+    assert mark == scene_data.MARK
+    assert len(page) == HEADER.size + PAGE.itemsize * n
+    found = columns_of(page)
+    places = map(tuple, found["cell"].tolist())
+    values = zip(places, *(found[name].tolist() for name in ("outcome", "synergy", "eta")), strict=True)
+    return upto, bool(more), dict(zip(found["number"].tolist(), values, strict=True))
+
+
+def in_cells(page: bytes) -> dict[Cell, tuple[int, int]]:
+    """The journal number and the outcome in each cell, where it has one alone."""
+    return {place: (number, outcome) for number, (place, outcome, *_) in read(page)[2].items()}
+
+
+def columns_of(page: bytes) -> dict[str, NDArray[np.generic]]:
+    """The columns of a page by their names."""
+    n, start, found = HEADER.unpack_from(page)[1], HEADER.size, {}
+    for name in PAGE.names or ():
+        found[name] = np.frombuffer(page, PAGE[name], n, start)
+        start += found[name].nbytes
+    return found
+
+
+def pages(kept: VoxelPages, first: int = 0) -> Iterator[Shown]:
+    while True:
+        first, more, shown = read(kept.page(first))
+        yield shown
+        if not more:
+            return
+
+
+def every(found: SuccessTable) -> Shown:
+    """The same by a plain loop."""
+    return {
+        int(one["number"]): (
+            tuple(cells(one["descriptor"]).tolist()),
+            int(one["outcome"]),
+            int(one["synergy"]),
+            float(one["eta"]),
+        )
+        for one in found
+    }
+
+
+def best(found: SuccessTable) -> Shown:
+    """Those of the greatest eta, of equals the earliest, of each cell, outcome and synergy."""
+    kept: dict[tuple[Cell, int, int], int] = {}
+    whole = every(found)
+    for number, (*key, eta) in whole.items():
+        name = (key[0], key[1], key[2])
+        if name not in kept or eta > whole[kept[name]][3]:
+            kept[name] = number
+    return {number: whole[number] for number in kept.values()}
+
+
+def shown(kept: VoxelPages) -> Shown:
+    return {name: what for page in pages(kept) for name, what in page.items()}
+
+
+def test_every_find_is_on_the_pages() -> None:
+    found = random_finds(2000)
+    kept = VoxelPages()
+    kept.insert(found, 4000)
+    assert shown(kept) == every(found)
+    assert len(kept) == len(found)
+
+
+def test_a_page_says_how_closing_went() -> None:
+    kept = VoxelPages()
+    kept.insert(np.array([settled_find(), finds([42], [(0, 0, 1)], [Outcome.DROPPED])[0]]), 43)
+    columns = columns_of(kept.page(0))
+    assert columns["penetration"] == pytest.approx([0.004, 0])
+    assert columns["motion"] == pytest.approx([0.03, np.nan], nan_ok=True)
+    assert np.isnan(columns["margin"]).all()
+    assert columns["contacts"].tolist() == [2, 0]
+
+
+def settled(numbers: Sequence[int], outcomes: ArrayLike = Outcome.HELD, etas: ArrayLike = -1) -> SuccessTable:
+    """Finds in one cell whose margin can be computed, by journal number (n,)."""
+    return finds(numbers, [(0, 0, 1)] * len(numbers), outcomes, etas=etas, settled=(0, 0, 0, 0, 0, 0, 1))
+
+
+def test_margins_are_lacking_of_the_best_in_a_cell_first_and_of_none_that_did_not_settle() -> None:
+    kept = VoxelPages()
+    outcomes = [Outcome.HELD, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD]
+    kept.insert(settled([2, 3, 5, 6], outcomes, etas=[0, 1, 0, 0.5]), 7)
+    kept.insert(finds([8], [(0, 0, 1)], [Outcome.DROPPED]), 9)
+    assert kept.lacking_margins().tolist() == [3, 5]
+    kept.add_margins(np.array([3, 5]), np.array([0.1, 0.0]))
+    assert kept.lacking_margins().tolist() == [2, 6]
+    kept.add_margins(np.array([2, 6]), np.array([0.2, 0.3]))
+    assert kept.lacking_margins().tolist() == []
+
+
+def test_a_margin_comes_on_the_next_page_and_stays_when_the_eta_is_known() -> None:
+    kept = VoxelPages()
+    kept.insert(settled([3, 5, 6]), 7)
+    first, _, _ = read(kept.page(0))
+    kept.add_margins(np.array([5, 3]), np.array([0.5, 0.25]))
+    columns = columns_of(kept.page(first))
+    assert dict(zip(columns["number"].tolist(), columns["margin"].tolist(), strict=True)) == {3: 0.25, 5: 0.5}
+    upto, _, _ = read(kept.page(first))
+    kept.insert(settled([3, 5, 6], etas=[0.5, 1, 0]), 7)
+    columns = columns_of(kept.page(upto))
+    assert (columns["number"].tolist(), columns["eta"].tolist()) == ([3, 5, 6], [0.5, 1, 0])
+    assert columns["margin"] == pytest.approx([0.25, 0.5, np.nan], nan_ok=True)
+    assert len(kept) == 3
+
+
+def test_where_there_are_too_many_the_best_of_each_cell_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = random_finds(2000)
+    monkeypatch.setattr(scene_data, "MAX_VOXELS", len(best(found)) + 5)
+    kept = VoxelPages()
+    for start in range(0, 2000, 400):
+        kept.insert(found[start : start + 400], 2 * (start + 400))
+    assert best(found).keys() <= shown(kept).keys()
+    assert len(kept) == len(best(found)) + 5
+
+
+@pytest.mark.parametrize("on_a_page", [1, 7, 100])
+def test_pages_add_up_to_the_same_however_long_they_are(monkeypatch, on_a_page) -> None:
+    found = random_finds(500)
+    kept = VoxelPages()
+    kept.insert(found, 1000)
+    whole = shown(kept)
+    monkeypatch.setattr(scene_data, "MAX_PAGE_VOXELS", on_a_page)
+    assert shown(kept) == whole
+    assert {len(page) for page in list(pages(kept))[:-1]} <= {on_a_page}
+
+
+def test_whoever_asks_on_while_finds_come_has_what_a_late_comer_gets(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_data, "MAX_PAGE_VOXELS", 20)
+    found, kept = random_finds(900), VoxelPages()
+    heard: Shown = {}
+    first = 0
+    for start in range(0, 900, 90):
+        kept.insert(found[start : start + 90], 2 * (start + 90))
+        first, _, page = read(kept.page(first))  # one page at a time: it falls behind
+        heard |= page
+    for page in pages(kept, first):
+        heard |= page
+    assert heard == shown(kept) == every(found)
+
+
+def test_only_what_changed_is_on_a_later_page() -> None:
+    kept = VoxelPages()
+    kept.insert(finds([3, 5], [(0, 0, 1), (0, 0, 2)], [Outcome.DROPPED, Outcome.SHAKEN]), 6)
+    first, _, _ = read(kept.page(0))
+    kept.insert(finds([6, 7, 8], [(0, 0, 1), (0, 0, 2), (0, 0, 3)], [Outcome.SHAKEN] * 3), 9)
+    upto, more, page = read(kept.page(first))
+    assert not more
+    assert page.keys() == {6, 7, 8}
+    assert read(kept.page(upto))[2] == {}
+
+
+def test_a_find_that_is_told_again_is_news_when_its_eta_is_known() -> None:
+    kept, found = VoxelPages(), finds([3, 5], [(0, 0, 1)] * 2, [Outcome.HELD] * 2)
+    kept.insert(found, 3)
+    first, _, _ = read(kept.page(0))
+    kept.insert(found, 3)
+    assert read(kept.page(first)) == (first, False, {})
+    kept.insert(finds([3, 5], [(0, 0, 1)] * 2, [Outcome.HELD] * 2, etas=[0.25, 0.5]), 6)
+    assert {number: eta for number, (*_, eta) in read(kept.page(first))[2].items()} == {3: 0.25, 5: 0.5}
+
+
+def test_it_is_told_when_there_is_more_to_read() -> None:
+    kept = VoxelPages()
+    kept.insert(random_finds(5), 10, is_whole=False)
+    assert read(kept.page(0))[1]
+
+
+def test_there_is_an_answer_before_anything_was_found() -> None:
+    assert read(VoxelPages().page(0)) == (0, False, {})
+
+
+def test_no_more_are_kept_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_data, "MAX_VOXELS", 100)
+    kept, found = VoxelPages(), random_finds(2000)
+    for start in range(0, 2000, 500):
+        kept.insert(found[start : start + 500], 2 * (start + 500))
+    assert len(kept) == 100
+    assert shown(kept).keys() <= every(found).keys()
+
+
+def test_a_find_beyond_all_reach_is_left_out() -> None:
+    kept = VoxelPages()
+    kept.insert(finds([0, 1], [(10**6, 0, 0), (1, 2, 3)], [Outcome.HELD] * 2), 2)
+    assert shown(kept) == {1: ((1, 2, 3), Outcome.HELD, -1, -1)}

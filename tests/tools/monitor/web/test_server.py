@@ -1,0 +1,471 @@
+"""The server of the page: addresses, connections and the files it brings."""
+
+import hashlib
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+import threading
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+from http.client import HTTPConnection
+from pathlib import Path
+from socket import gethostname
+from urllib.request import urlopen
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from starlette.testclient import TestClient
+from tests.common import PATIENCE, free_port
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.tools.monitor.web.conftest import HERE, STEP, FakeFeed, FakeLibrary, client, serving
+from tests.tools.monitor.web.test_scene_data import read as read_page
+
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.metrics.run_stats import successes
+from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_tools.monitor.records import FolderIndex
+from qdgrasp_tools.monitor.web import server
+from qdgrasp_tools.monitor.web.access import Access
+from qdgrasp_tools.monitor.web.routes import folder_site, html
+from qdgrasp_tools.monitor.web.server import STATIC, application
+
+ROOT = Path(__file__).resolve().parents[4]
+PACKAGE = ROOT / "coordinator" / "qdgrasp_coordinator"
+STATIC_FILES = PACKAGE / "monitor" / "web" / "static"
+VENDOR = STATIC_FILES / "vendor"
+NOTICES = (ROOT / "THIRD_PARTY_NOTICES.md").read_text(encoding="utf-8")
+
+
+def files(folder: Path) -> set[str]:
+    return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_scripts_of_others_are_those_in_the_notices() -> None:
+    noticed = dict(re.findall(r"^\| `([\w./]+)` \| `([0-9a-f]{64})` \|$", NOTICES, re.MULTILINE))
+    there = {name: hashlib.sha256((VENDOR / name).read_bytes()).hexdigest() for name in files(VENDOR)}
+    assert there
+    assert there == noticed
+
+
+@pytest.mark.parametrize(
+    ("package", "script", "stated"),
+    [("three", "three.core.min.js", '="{1}"'), ("uPlot", "uPlot.iife.min.js", "(v{0}.{1}.{2})")],
+)
+def test_the_versions_in_the_notices_are_those_that_the_scripts_state(package, script, stated) -> None:
+    noticed = re.search(rf"^\| \[{package}\]\S* \| (\S+) \|", NOTICES, re.MULTILINE)
+    assert noticed
+    text = (VENDOR / package.lower() / script).read_text(encoding="utf-8")
+    assert stated.format(*noticed[1].split(".")) in text
+
+
+def test_the_wheel_holds_the_page_with_the_scripts_of_others_and_their_licences(tmp_path: Path) -> None:
+    pytest.importorskip("hatchling", reason="needs hatchling, which builds the wheel")
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(tmp_path)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    packed = set(zipfile.ZipFile(wheel).namelist())
+    for folder in (STATIC_FILES, STATIC_FILES.with_name("pages")):
+        home = folder.relative_to(PACKAGE.parent).as_posix()
+        assert {f"{home}/{name}" for name in files(folder)} <= packed
+    licences = {
+        name.partition("/vendor/")[2] for name in packed if "/licenses/" in name and "/vendor/" in name
+    }
+    assert licences == {"three/LICENSE", "uplot/LICENSE"}
+
+
+PAGES = ("index", "view")
+SCRIPTS = [path for path in STATIC.rglob("*") if path.is_file() and "vendor" not in path.parts]
+
+
+def test_the_state_tells_what_is_known_of_all_jobs(feed: FakeFeed) -> None:
+    jobs = {job["job"]: job for job in client(feed).get("/api/state").json()["jobs"]}
+    assert jobs["mug"]["figures"]["evaluations"] == 3 * STEP
+    assert len(jobs["hands"]["runs"]) == 6
+    assert jobs["hands"]["team"]["states"] == {"working": 4}
+
+
+def test_the_curves_lead_to_what_the_state_tells(feed: FakeFeed) -> None:
+    curves = client(feed).get("/api/jobs/mug/curves").json()
+    assert curves["history"]["evaluations"][-1] == 3 * STEP
+    assert curves["curves"]["mug"]["points"][-1][0] == 3 * STEP
+
+
+def test_metrics_are_what_prometheus_reads(feed: FakeFeed) -> None:
+    answer = client(feed).get("/metrics")
+    assert answer.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
+    samples = [sample for family in text_string_to_metric_families(answer.text) for sample in family.samples]
+    found = {one.labels["job"]: one.value for one in samples if one.name == "qdgrasp_job_evaluations_total"}
+    assert found == {"mug": 3 * STEP, "hands": 6 * 3 * STEP}
+
+
+@pytest.mark.parametrize(
+    ("page", "status", "words"),
+    [
+        ("/api/jobs/mags/curves", 404, "Unknown job 'mags'. Known: hands, mug."),
+        ("/api/jobs/mug/runs/other/scene", 404, "Unknown run 'other'"),
+        ("/api/jobs/hands/runs", 503, "nobody answers"),
+    ],
+)
+def test_what_cannot_be_answered_is_said_in_a_sentence(feed, page, status, words) -> None:
+    answer = client(feed).get(page)
+    assert answer.status_code == status
+    assert words in answer.json()["error"]
+
+
+def test_names_with_anything_in_them_reach_the_library(feed: FakeFeed) -> None:
+    assert "Unknown run 'x y&?'" in client(feed).get("/api/jobs/mug/runs/x%20y%26%3F/scene").json()["error"]
+    assert client(feed).get("/api/jobs/mug/runs/mug/grasps/12").json() == {"number": 12}
+    for number in ("twelve", "-1", "5000000000", "9" * 5000):
+        assert client(feed).get(f"/api/jobs/mug/runs/mug/grasps/{number}").status_code == 404
+
+
+def test_a_library_that_hangs_keeps_nothing_else_waiting(feed, monkeypatch) -> None:
+    over = threading.Event()
+    monkeypatch.setattr(FakeLibrary, "runs", lambda *_: b"{}" if over.wait(PATIENCE) else b"")
+    with serving(feed) as address, ThreadPoolExecutor(64) as pool:
+        asked = [pool.submit(urlopen, f"{address}/api/jobs/mug/runs", timeout=PATIENCE) for _ in range(64)]
+        try:
+            for page in ("/", "/metrics", "/api/state", "/static/style.css"):
+                assert urlopen(address + page, timeout=PATIENCE).status == 200  # noqa: S310 - our own
+            assert not any(one.done() for one in asked)
+        finally:
+            over.set()
+        assert {one.result().status for one in asked} == {200}
+
+
+@pytest.mark.parametrize(
+    ("since", "read"), [("5", 5), ("", 0), ("-1", 0), ("x", 0), ("5000000000", 0), ("9" * 5000, 0)]
+)
+def test_cells_are_asked_for_from_a_number_on(feed: FakeFeed, since: str, read: int) -> None:
+    answer = client(feed).get("/api/jobs/mug/runs/mug/cells", params={"from": since})
+    assert answer.headers["content-type"] == "application/octet-stream"
+    assert int.from_bytes(answer.content[8:12], "little") == read
+
+
+@pytest.mark.parametrize(
+    "path", ["/static/../server.py", "/static/%2e%2e/server.py", "/static/..%2fserver.py", "/static/"]
+)
+def test_nothing_beside_the_page_is_handed_out(feed: FakeFeed, path: str) -> None:
+    assert client(feed).get(path).status_code == 404
+
+
+def test_scripts_are_asked_for_again_and_sent_only_when_they_changed(feed: FakeFeed) -> None:
+    guest = client(feed)
+    first = guest.get("/static/app.js")
+    assert first.headers["cache-control"] == "no-cache"
+    assert guest.get("/static/app.js", headers={"if-none-match": first.headers["etag"]}).status_code == 304
+
+
+def test_large_answers_are_packed(feed: FakeFeed) -> None:
+    answer = client(feed).get("/static/vendor/three/three.core.min.js")
+    assert answer.headers["content-encoding"] == "gzip"
+
+
+@pytest.mark.parametrize("path", SCRIPTS, ids=[path.relative_to(STATIC).as_posix() for path in SCRIPTS])
+def test_nothing_in_the_page_comes_from_elsewhere(path: Path) -> None:
+    text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
+    assert re.findall(r"(?:https?:)?//[\w.-]+\.\w+", text) == []
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_has_no_script_or_style_in_itself(name: str) -> None:
+    assert re.findall(r"<script(?![^>]* src=)|<style|\sstyle=|\son\w+=", html(name)) == []
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_has_all_its_parts_and_each_name_once(name: str) -> None:
+    text = html(name)
+    assert "<!-- " not in text
+    names = re.findall(r'\sid="([^"]+)"', text)
+    assert {"skip", "link", "theme", "main", "scene", "grasp", "scene-filters"} <= set(names)
+    assert len(names) == len(set(names))
+    assert text.index("<meta charset") < 1024
+
+
+def test_what_the_page_loads_is_there() -> None:
+    loaded = [name for page in PAGES for name in re.findall(r'(?:src|href)="static/([^"]+)"', html(page))]
+    imported = [
+        (path.parent / name).resolve()
+        for path in SCRIPTS
+        if path.suffix == ".js"
+        for name in re.findall(r'(?:from|import\(?)\s*"([^"]+)"', path.read_text(encoding="utf-8"))
+    ]
+    assert len(loaded) > 4
+    assert len(imported) > 15
+    assert [path for path in [*(STATIC / name for name in loaded), *imported] if not path.is_file()] == []
+
+
+def test_the_state_is_one_line_so_that_it_can_be_an_event(feed: FakeFeed) -> None:
+    feed.happen("two\nlines")
+    text = client(feed).get("/api/state").text
+    assert "\n" not in text
+    assert "two\nlines" in [event["words"] for event in json.loads(text)["jobs"][1]["events"]]
+
+
+def ended(connection: socket.socket) -> bool:
+    """True where the server ends a connection; False where it answers."""
+    connection.settimeout(PATIENCE)
+    try:
+        return connection.recv(1) == b""
+    except ConnectionResetError:
+        return True
+
+
+@pytest.mark.parametrize("begun", [b"", b"GET /api/sta", b"GET / HTTP/1.1\r\nHost: localhost\r\nA: "])
+def test_whoever_asks_nothing_is_let_go(feed, monkeypatch, begun) -> None:
+    monkeypatch.setattr(server, "FIRST_REQUEST_SECONDS", 0.2)
+    port = free_port()
+    with serving(feed, port), socket.create_connection((HERE, port)) as idle:
+        idle.sendall(begun)
+        assert ended(idle)
+
+
+@pytest.mark.parametrize(
+    "framing",
+    [
+        b"Content-Length: 5\r\nTransfer-Encoding: chunked",
+        b"transfer-encoding: Chunked\r\ncontent-length: 5",
+        b"Content-Length: 5\r\nContent-Length: 6",
+        b"Content-Length: 5\r\nTransfer-Encoding: identity",
+        b"Content-Length: +5",
+        b"Content-Length : 5",
+        b"Transfer-Encoding: chunked\r\nTransfer-Encoding: chunked",
+    ],
+)
+def test_a_request_that_may_end_at_two_places_is_refused_with_what_follows_it(feed, framing) -> None:
+    port = free_port()
+    hidden = b"GET /api/state HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    with serving(feed, port), socket.create_connection((HERE, port)) as guest:
+        guest.settimeout(PATIENCE)
+        guest.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n" + framing + b"\r\n\r\n0\r\n\r\n" + hidden)
+        answer = b"".join(iter(lambda: guest.recv(1 << 16), b""))
+    assert re.match(rb"HTTP/1.1 (400|501) ", answer), answer
+    assert answer.count(b"HTTP/1.1 ") == 1
+
+
+def test_a_stream_that_was_asked_for_goes_on(feed: FakeFeed, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked, leave = threading.Event(), server.LimitedConnection.close_if_idle
+
+    def leave_later(self: server.LimitedConnection) -> None:
+        """Check that a request came in time: on a busy machine it may be late."""
+        if self.cycle is None:
+            self.loop.call_later(0.01, self.close_if_idle)
+        else:
+            leave(self)
+            looked.set()
+
+    monkeypatch.setattr(server, "FIRST_REQUEST_SECONDS", 0.1)
+    monkeypatch.setattr(server.LimitedConnection, "close_if_idle", leave_later)
+    with serving(feed) as address:
+        stream = urlopen(f"{address}/api/stream", timeout=PATIENCE)  # noqa: S310 - our own
+        assert looked.wait(PATIENCE)
+        frames = [line for line in (stream.readline() for _ in range(12)) if line.startswith(b"data: ")]
+        stream.close()
+    assert len(frames) >= 3
+
+
+def test_one_address_does_not_take_the_room_of_others(feed, monkeypatch) -> None:
+    monkeypatch.setattr(server, "MAX_CONNECTIONS_PER_ADDRESS", 4)
+    port = free_port()
+    with serving(feed, port) as address:
+        crowd = [socket.create_connection((HERE, port)) for _ in range(8)]
+        assert ended(crowd[-1])
+        with pytest.raises(OSError, match=r"."):
+            urlopen(f"{address}/api/state", timeout=PATIENCE)  # noqa: S310 - our own
+        with socket.create_connection((HERE, port), source_address=("127.0.0.2", 0)) as other:
+            other.sendall(b"GET /api/state HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            assert not ended(other)
+        for one in crowd:
+            one.close()
+
+
+def test_whoever_comes_to_a_full_house_is_asked_to_try_again(feed, monkeypatch) -> None:
+    monkeypatch.setattr(server, "MAX_CONNECTIONS", 4)
+    port = free_port()
+    with serving(feed, port):
+        guests = [HTTPConnection(HERE, port, timeout=PATIENCE) for _ in range(4)]
+        assert [asked(guest) for guest in guests] == [200, 200, 200, 503]
+        for guest in guests:
+            guest.close()
+
+
+def asked(guest: HTTPConnection) -> int:
+    """Return the status of an answer; the connection stays open."""
+    guest.request("GET", "/api/state")
+    answer = guest.getresponse()
+    answer.read()
+    return answer.status
+
+
+COOKIE = "qdgrasp-monitor-8080"
+TOKEN = "a-token-of-some-length"  # noqa: S105 - it opens nothing
+LOCKED = Access(local=False, token=TOKEN)
+PATHS = ("/", "/api/state", "/metrics", "/static/app.js", "/api/jobs/mug/curves", "/nowhere")
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1:8080", "[::1]:8080", "LOCALHOST:80", "127.8.0.1"])
+def test_a_page_on_loopback_answers_to_the_names_of_this_machine(feed: FakeFeed, host: str) -> None:
+    assert client(feed).get("/", headers={"host": host}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:8080", "192.168.0.7", "localhost.evil.example", "", "["]
+)
+def test_a_page_on_loopback_answers_to_no_other_name(feed: FakeFeed, host: str) -> None:
+    for page in PATHS:
+        assert client(feed).get(page, headers={"host": host}).status_code == 421
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "CONNECT"])
+def test_nothing_can_be_written(feed: FakeFeed, method: str) -> None:
+    for page in PATHS:
+        answer = client(feed).request(method, page)
+        assert (answer.status_code, answer.headers["allow"]) == (405, "GET, HEAD")
+
+
+def test_without_the_token_nothing_is_seen_but_how_the_door_looks(feed: FakeFeed) -> None:
+    outsider = client(feed, LOCKED)
+    assert {outsider.get(page).status_code for page in PATHS} == {401}
+    assert outsider.get("/static/style.css").status_code == 200
+    assert outsider.get("/", headers={"accept": "text/html"}).text.count("<input") == 1
+
+
+@pytest.mark.parametrize("wrong", ["", "a", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), "töken"])
+def test_another_token_opens_nothing(feed: FakeFeed, wrong: str) -> None:
+    outsider = client(feed, LOCKED)
+    for name, value in (("authorization", f"Bearer {wrong}"), ("cookie", f"{COOKIE}={wrong}")):
+        assert outsider.get("/api/state", headers={name: value.encode()}).status_code == 401
+    assert outsider.get("/", params={"token": wrong}).status_code == 401
+
+
+def test_the_token_opens_the_page_in_a_header_or_a_cookie(feed: FakeFeed) -> None:
+    guest = client(feed, LOCKED)
+    assert guest.get("/metrics", headers={"authorization": f"Bearer {TOKEN}"}).status_code == 200
+    assert guest.get("/metrics", headers={"cookie": f"other=1; {COOKIE}={TOKEN}"}).status_code == 200
+
+
+def test_the_token_in_the_address_becomes_a_cookie_that_no_script_and_no_other_page_gets(feed) -> None:
+    guest = client(feed, LOCKED)
+    entered = guest.get("/", params={"token": TOKEN})
+    assert (entered.status_code, entered.headers["location"]) == (303, "/")
+    cookie = entered.headers["set-cookie"]
+    assert "HttpOnly" in cookie
+    assert "SameSite=lax" in cookie
+    assert guest.get("/api/state").status_code == 200
+
+
+def test_the_cookie_of_another_port_is_another(feed: FakeFeed) -> None:
+    headers = {"cookie": f"{COOKIE}={TOKEN}", "host": "head:9090"}
+    assert client(feed, LOCKED).get("/api/state", headers=headers).status_code == 401
+
+
+def test_the_token_opens_a_page_elsewhere_under_any_name(feed: FakeFeed) -> None:
+    for host in ("head.lab.example:8080", "head", "[2001:db8::1]", "head:port", ""):
+        headers = {"authorization": f"Bearer {TOKEN}", "host": host}
+        assert client(feed, LOCKED).get("/", headers=headers).status_code == 200
+
+
+def test_a_token_can_be_asked_for_on_loopback_too(feed: FakeFeed) -> None:
+    access = Access.at("127.0.0.1", TOKEN)
+    assert client(feed, access).get("/api/state").status_code == 401
+    headers = {"authorization": f"Bearer {TOKEN}", "host": "evil.example"}
+    assert client(feed, access).get("/api/state", headers=headers).status_code == 421
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
+def test_on_loopback_there_is_no_token_unless_one_is_given(host: str) -> None:
+    assert Access.at(host) == Access(local=True)
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "head", "192.168.0.7"])  # noqa: S104
+def test_elsewhere_there_is_always_a_token_and_each_time_another_one(host: str) -> None:
+    made = {Access.at(host).token for _ in range(5)}
+    assert len(made) == 5
+    assert min(map(len, made)) >= 32
+
+
+def test_a_short_token_is_refused_and_not_repeated() -> None:
+    with pytest.raises(ImpossibleValue, match="at least 16 characters") as refusal:
+        Access.at("127.0.0.1", "secret")
+    assert "secret" not in str(refusal.value)
+
+
+def test_the_address_says_where_the_page_is() -> None:
+    assert Access.at("127.0.0.1").address("127.0.0.1", 8080) == "http://127.0.0.1:8080/"
+    assert Access.at("::1").address("::1", 8080) == "http://[::1]:8080/"
+    assert gethostname() in Access.at("::").address("::", 80)
+    made = Access.at("head")
+    assert made.address("head", 80) == f"http://head:80/?token={made.token}"
+
+
+def test_a_token_that_somebody_chose_is_not_told() -> None:
+    assert Access.at("head", TOKEN).address("head", 80) == "http://head:80/"
+
+
+@pytest.mark.parametrize(
+    "token", ["a-tóken-of-some-length", "令牌" * 10, "a token of some length", TOKEN + "\n"]
+)
+def test_a_token_that_no_header_can_hold_is_refused(token: str) -> None:
+    with pytest.raises(ImpossibleValue, match="ASCII without spaces") as refusal:
+        Access.at("head", token)
+    assert token not in str(refusal.value)
+
+
+def test_every_answer_has_the_headers_that_keep_a_browser_safe(feed: FakeFeed) -> None:
+    for guest in (client(feed), client(feed, LOCKED)):
+        refused = guest.post("/"), guest.get("/", headers={"host": "evil.example"})
+        for answer in (*map(guest.get, PATHS), *refused):
+            policy = answer.headers["content-security-policy"]
+            assert "default-src 'none'" in policy
+            assert "unsafe" not in policy
+            assert answer.headers["x-content-type-options"] == "nosniff"
+            assert answer.headers["referrer-policy"] == "no-referrer"
+            assert "access-control-allow-origin" not in answer.headers
+
+
+ROWS = random_rows(60)
+
+
+def folder_client(*paths: Path) -> TestClient:
+    app = application(folder_site(FolderIndex(paths)), Access(local=True))
+    return TestClient(app, base_url="http://localhost:8080", raise_server_exceptions=False)
+
+
+@pytest.fixture
+def path(tmp_path: Path, make_scene) -> Path:
+    return record(tmp_path / "mug", make_scene(), ROWS).path
+
+
+def test_it_lists_jobs_and_their_runs(path: Path) -> None:
+    listed = folder_client(path).get("/api/jobs").json()
+    assert listed == [{"job": "mug", "folder": str(path), "runs": ["run"]}]
+
+
+def test_the_cells_are_those_of_all_successes(path: Path) -> None:
+    answer = folder_client(path).get("/api/jobs/mug/runs/run/cells")
+    places = {place for place, *_ in read_page(answer.content)[2].values()}
+    assert places == {tuple(place) for place in cells(successes(ROWS)["descriptor"]).tolist()}
+
+
+def test_what_is_not_there_is_said(path: Path) -> None:
+    answer = folder_client(path).get("/api/jobs/mug/runs/rum/scene")
+    assert answer.status_code == 404
+    assert answer.json()["error"].startswith("Unknown run 'rum'.")
+    assert folder_client(path).get("/api/state").status_code == 404
+
+
+def test_a_folder_whose_name_is_no_text_breaks_nothing(tmp_path: Path, make_scene) -> None:
+    path = record(tmp_path / "mug", make_scene(), ROWS).path
+    odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/m\xffug"))
+    path.rename(odd)
+    number = int((ROWS["outcome"] >= 5).argmax())
+    assert folder_client(odd).get("/api/jobs").json()[0]["folder"].endswith(r"m\udcffug")
+    command = folder_client(odd).get(f"/api/jobs/mug/runs/run/grasps/{number}").json()["commands"][0]
+    assert command.endswith(f"--grasp {number}")
+    (odd / "scene.bundle").unlink()
+    sorry = folder_client(odd).get("/api/jobs/mug/runs/run/scene")
+    assert sorry.status_code == 404
+    assert r"m\udcffug" in sorry.json()["error"]

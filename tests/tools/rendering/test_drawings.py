@@ -1,0 +1,185 @@
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.image
+import msgspec
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import label
+from scipy.spatial.transform import Rotation
+from tests.coordinator.scenes import made_scene
+
+from qdgrasp_assets.catalog import find_gripper
+from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.stand_ins import stand_in
+from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.rendering.drawings import (
+    MISSING_LETTER,
+    draw_grasps,
+    draw_gripper,
+    draw_object,
+    figure_text,
+    project_point,
+)
+from qdgrasp_tools.rendering.ray_renderer import fit_camera
+from qdgrasp_tools.rendering.views import (
+    CUT_OPEN_CELLS,
+    LEAST_CUBE,
+    best_in_cells,
+    view_of_cells,
+    view_of_hands,
+)
+
+SMALL = 120
+
+
+def rows_of(outcomes: list[Outcome], seed: int = 0) -> Rows:
+    """Hands above and beside the block that look at it."""
+    random = np.random.default_rng(seed)
+    rows = RowShape(7, 2).empty(len(outcomes))
+    for row, outcome in zip(rows, outcomes, strict=True):
+        away = random.normal(size=3)
+        away *= 0.12 / np.linalg.norm(away)
+        turned = Rotation.align_vectors([-away], [[0, 0, 1]])[0].as_quat()
+        row["outcome"], row["fitness"] = outcome, max(0, outcome - Outcome.DROPPED)
+        row["descriptor"], row["joints"] = away, 0.02
+        row["base_to_object"] = np.concatenate([away, turned])
+    return rows
+
+
+def share_drawn(image: np.ndarray) -> float:
+    return float((image[..., :3].min(axis=-1) < 0.99).mean())
+
+
+@pytest.mark.parametrize("outcomes", [[], [Outcome.OVERLAP], [Outcome.HELD], [Outcome.DROPPED] * 3])
+def test_a_run_is_drawn_however_little_it_found(tmp_path: Path, outcomes: list[Outcome]) -> None:
+    draw_grasps(made_scene(), rows_of(outcomes), tmp_path / "grasps.png", pixels=SMALL)
+    assert share_drawn(matplotlib.image.imread(tmp_path / "grasps.png")) > 0.02
+
+
+def test_the_same_rows_give_the_same_picture(tmp_path: Path) -> None:
+    rows, spec = rows_of([Outcome.HELD] * 20), RunSpec(gripper="jaw", object="block")
+    for name in ("a.png", "b.png"):
+        draw_grasps(made_scene(), rows, tmp_path / name, spec=spec, pixels=SMALL)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_hands_are_drawn_over_the_object() -> None:
+    alone = view_of_hands(made_scene(), rows_of([]), 0.0, SMALL)
+    held = view_of_hands(made_scene(), rows_of([Outcome.HELD] * 20), 0.0, SMALL)
+    assert len(alone.shown) == 0
+    assert 2 < len(held.shown) <= 20
+    assert share_drawn(held.image) > 2 * share_drawn(alone.image)
+
+
+def test_hands_are_drawn_in_their_settled_poses() -> None:
+    plain, rows = rows_of([Outcome.HELD] * 3), RowShape(7, 2, contact_slots=1).empty(3)
+    for name in ("outcome", "fitness", "descriptor", "joints"):
+        rows[name] = plain[name]
+    rows["settled"] = plain["base_to_object"]
+    rows["base_to_object"][:, 6] = 1  # all inside the object
+    settled, commanded = (view_of_hands(made_scene(), found, 0.0, SMALL).image for found in (rows, plain))
+    assert np.array_equal(settled, commanded)
+
+
+def shell(step: int) -> Rows:
+    """Successes in cells that are so many cm apart."""
+    grid = np.stack(np.meshgrid(*[np.arange(-9, 10, step)] * 3), axis=-1).reshape(-1, 3)
+    rows = RowShape(7, 2).empty(len(grid))
+    rows["descriptor"], rows["outcome"] = grid / 100, Outcome.HELD
+    return rows
+
+
+def test_views_beside_each_other_have_one_camera_and_are_cut_open_alike() -> None:
+    scene, few, many = made_scene(), shell(3)[100:300], shell(1)
+    beside = [cells(rows["descriptor"]) for rows in (few, many)]
+    one, other = (view_of_cells(scene, rows, 0.3, SMALL, beside=beside) for rows in (few, many))
+    alone = view_of_cells(scene, few, 0.3, SMALL)
+    assert np.array_equal(one.camera.low, other.camera.low)
+    assert one.camera.step == other.camera.step > alone.camera.step
+    assert not one.is_uncut
+    assert alone.is_uncut
+
+
+def test_many_cells_are_cut_open_toward_the_viewer() -> None:
+    scene: Scene = made_scene()
+    assert len(shell(3)) < CUT_OPEN_CELLS < len(shell(1))
+    assert view_of_cells(scene, shell(3), 0.0, SMALL).is_uncut
+    assert not view_of_cells(scene, shell(1), 0.0, SMALL).is_uncut
+
+
+def test_around_an_object_of_a_metre_cells_are_drawn_in_blocks_that_are_seen() -> None:
+    box = trimesh.creation.box((1.0, 0.6, 0.3))
+    shape = {
+        "mesh_vertices": box.vertices.astype("<f4").tobytes(),
+        "mesh_faces": box.faces.astype("<u4").tobytes(),
+    }
+    small = made_scene()
+    large = msgspec.structs.replace(small, object=msgspec.structs.replace(small.object, **shape))
+    rows = RowShape(7, 2).empty(4)
+    rows["descriptor"] = [[-0.4, 0, 0.2], [0.4, 0, 0.2], [0.0, 0.2, 0.2], [0.41, 0, 0.2]]
+    rows["outcome"] = [Outcome.HELD, Outcome.DROPPED, Outcome.HELD, Outcome.HELD]
+    view = view_of_cells(large, rows, 0.3, 400)
+    red, _, blue = np.moveaxis(view.image, -1, 0)
+    pieces, count = label(blue > red + 0.2)
+    assert count == 3  # the dropped one stands in a block with the last one, which held
+    assert np.bincount(pieces.ravel())[1:].min() >= LEAST_CUBE**2 / 2
+    assert view.block > 1
+    assert view_of_cells(small, rows[2:3], 0.3, 400).block == 1
+
+
+def test_a_cell_shows_its_fittest_success() -> None:
+    rows = rows_of([Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN, Outcome.DROPPED])
+    rows["descriptor"] = [[0.01, 0, 0], [0.012, 0, 0], [0.011, 0, 0], [0.05, 0, 0]]
+    assert best_in_cells(rows)["outcome"].tolist() == [Outcome.HELD, Outcome.DROPPED]
+
+
+def halves(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """The left and the right view of a portrait, without its words."""
+    image = matplotlib.image.imread(path)[..., :3]
+    rows, columns, _ = image.shape
+    views = image[rows // 5 :]
+    return views[:, : columns // 2], views[:, columns // 2 :]
+
+
+@pytest.mark.parametrize("name", ["panda", "shadow"])
+def test_a_hand_is_drawn_open_and_closed(tmp_path: Path, name: str) -> None:
+    draw_gripper(find_gripper(name).on_carrier("paper"), tmp_path / "hand.png")
+    opened, closed = halves(tmp_path / "hand.png")
+    assert min(map(share_drawn, (opened, closed))) > 0.05
+    assert not np.allclose(opened, closed)
+
+
+def test_an_object_is_drawn_with_its_parts_in_colours(tmp_path: Path) -> None:
+    draw_object(stand_in("mug"), tmp_path / "mug.png")
+    surface, parts = halves(tmp_path / "mug.png")
+
+    def colourful(view: np.ndarray) -> float:
+        return float((np.ptp(view, axis=-1) > 0.4).mean())
+
+    assert share_drawn(surface) == pytest.approx(share_drawn(parts), rel=0.05)
+    assert colourful(parts) > 10 * colourful(surface)
+
+
+@pytest.mark.parametrize("name", ["\u5341\u5b57", "price $5$", r"$\frac$", "\U0001f600", "a\tb"])
+@pytest.mark.filterwarnings("error")
+def test_any_name_is_drawn_and_nothing_is_complained_of(tmp_path: Path, name: str) -> None:
+    draw_object(replace(stand_in("mug"), name=name), tmp_path / "mug.png")
+    assert share_drawn(halves(tmp_path / "mug.png")[0]) > 0.05
+
+
+def test_letters_that_the_font_lacks_are_boxes_and_others_stay() -> None:
+    assert figure_text("\u5341 caf\u00e9, 5 \u00b5m") == f"{MISSING_LETTER} caf\u00e9, 5 \u00b5m"
+    assert figure_text("a\nb") == "a\nb"
+
+
+def test_a_point_is_marked_where_the_camera_shows_it() -> None:
+    corners = np.array([[-0.2, -0.2, 0.0], [0.2, 0.2, 0.0]])
+    above = fit_camera(corners, -np.pi / 2, np.pi / 2, 200, 200)
+    assert project_point(above, np.zeros(3)) == pytest.approx((50, 50), abs=0.1)
+    right, low = project_point(above, np.array([0.1, -0.1, 0.0]))
+    assert right > 60
+    assert low > 60

@@ -1,0 +1,158 @@
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import made_scene
+
+from qdgrasp_coordinator.metrics.reference_coverage import (
+    CoverageTarget,
+    ReferenceSet,
+    ReleasedArchive,
+    coverage,
+)
+from qdgrasp_coordinator.metrics.success_metrics import StepSeries, SuccessHistory, archive_growth
+from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.rows import TRIALS, Outcome, Rows
+from qdgrasp_tools.campaign.merge_prune import prune_run
+from qdgrasp_tools.report.run_history import RunHistory, has_curves, read_history
+
+GRID = np.stack(np.meshgrid(*[np.arange(-4, 3)] * 3), axis=-1).reshape(-1, 3).astype(np.int64)
+KNOWN = ReferenceSet("block", GRID, (np.arange(len(GRID)) % 3).astype(np.uint8))
+ARCHIVE = ReleasedArchive(np.array([-0.083, -0.081, -0.079]), 0.1512)
+"""An archive whose cells differ from the rounding, so that two elites may share an entry."""
+
+
+def told(tmp_path: Path, rows: Rows, **settings: object) -> RunHistory:
+    folder = record(tmp_path / "run", made_scene(), rows, **settings)
+    return read_history(folder, CoverageTarget(KNOWN, ARCHIVE))
+
+
+def finds(rows: Rows) -> SuccessHistory:
+    success = rows["outcome"] >= Outcome.DROPPED
+    return SuccessHistory(rows[success], 1 + np.flatnonzero(success))
+
+
+def test_finds_are_nominal_successes_numbered_by_the_evaluations_that_count() -> None:
+    rows = random_rows(200, seed=5)
+    rows["trial"][::3] = 1
+    counts = (rows["trial"] == 0) & (rows["outcome"] > Outcome.OVERLAP)
+    found = SuccessHistory.among(rows, "redraw", before=1000)
+    expected = rows[(rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)]
+    assert found.rows.tobytes() == expected.tobytes()
+    assert found.evaluations[-1] <= 1000 + counts.sum()
+    later = SuccessHistory.among(rows[80:], "redraw", before=1000 + int(counts[:80].sum()))
+    assert found.evaluations[-len(later.rows) :].tolist() == later.evaluations.tolist()
+
+
+def at_once(rows: Rows) -> tuple[object, ...]:
+    """The result of `coverage` for all rows at once."""
+    found = rows[rows["outcome"] >= Outcome.DROPPED]
+    said = coverage(found["base_to_object"][:, :3], found["fitness"], KNOWN, ARCHIVE)
+    return said.found, said.robust_found, said.released_found
+
+
+def test_a_number_holds_from_the_evaluation_at_which_it_changes() -> None:
+    rising = StepSeries(np.array([3, 7]), np.array([1, 5]))
+    assert rising.after([0, 2, 3, 6, 7, 100]).tolist() == [0, 0, 1, 1, 5, 5]
+    assert (rising.end, StepSeries(np.zeros(0, np.int64), np.zeros(0, np.int64)).end) == (5, 0)
+
+
+@pytest.mark.parametrize("n", [0, 1, 37, 150, 600])
+def test_a_curve_is_at_each_place_what_coverage_says_of_the_rows_up_to_there(n: int) -> None:
+    rows = random_rows(600, seed=3, reach=0.05)
+    whole = finds(rows)
+    curves = (whole.found(KNOWN), whole.found(KNOWN.robust, Outcome.HELD), whole.published(KNOWN, ARCHIVE))
+    assert tuple(int(curve.after(n)) for curve in curves) == at_once(rows[:n])
+
+
+@given(st.integers(0, 2**16), st.integers(0, 60))
+def test_the_count_as_published_is_the_released_archive_s_at_any_time(seed: int, n: int) -> None:
+    rows = random_rows(60, seed, reach=0.02)
+    assert int(finds(rows).published(KNOWN, ARCHIVE).after(n)) == at_once(rows[:n])[2]
+
+
+def test_cells_grow_as_in_the_picture_of_a_run(tmp_path: Path) -> None:
+    rows = random_rows(500)
+    found, drawn = told(tmp_path, rows), archive_growth(rows)
+    assert found.cells.after(drawn.evaluations).tolist() == drawn.cells.tolist()
+    assert (found.evaluations, found.successes) == (500, drawn.successes[-1])
+    assert (np.diff(found.cells.totals) > 0).all()
+    assert found.robust_cells.end < found.cells.end
+
+
+def test_overlaps_are_no_evaluations_where_they_are_redrawn(tmp_path: Path) -> None:
+    rows = random_rows(300)
+    found = told(tmp_path, rows, overlaps="redraw")
+    assert found.evaluations == np.count_nonzero(rows["outcome"] != Outcome.OVERLAP)
+    assert found.cells.evaluations.max() <= found.evaluations
+
+
+def test_trials_give_eta_and_nothing_else(tmp_path: Path) -> None:
+    nominal = random_rows(10)
+    success = np.flatnonzero(nominal["outcome"] >= Outcome.DROPPED)
+    trials = np.repeat(nominal[success], TRIALS)
+    trials["trial"] = np.tile(np.arange(1, TRIALS + 1), len(success))
+    trials["fitness"], trials["descriptor"], trials["base_to_object"] = 1, 0.5, 0.5
+    alone = told(tmp_path / "a", nominal)
+    robust = told(tmp_path / "b", np.concatenate([nominal, trials]), protocol="robust")
+    assert len(success) > 2
+    assert alone.eta is None
+    assert robust.eta is not None
+    assert (robust.eta.mean, robust.eta.trials) == (0.5, TRIALS)
+    for name in ("evaluations", "successes", "near"):
+        assert getattr(alone, name) == getattr(robust, name)
+    for name in ("cells", "robust_cells", "found", "published"):
+        assert getattr(alone, name).totals.tolist() == getattr(robust, name).totals.tolist()
+
+
+def test_nu_that_rounds_beyond_the_end_of_a_prior_is_still_within(tmp_path: Path) -> None:
+    rows = random_rows(4)
+    rows["outcome"], rows["nu"] = Outcome.HELD, [0.0, np.pi / 4, np.pi / 4 + 1e-3, np.pi]
+    found = told(tmp_path, rows)
+    assert (found.near, found.near_share) == (2, 0.5)
+    assert (found.nu[:6].sum(), found.nu[23], found.nu.sum()) == (2, 1, 4)
+
+
+def test_a_run_that_has_not_begun_has_found_nothing(tmp_path: Path) -> None:
+    found = told(tmp_path, random_rows(0))
+    assert (found.evaluations, found.complete, found.near_share, found.cells.end) == (0, False, None, 0)
+
+
+def flat(told: object) -> list[object]:
+    """All values of a history, one behind the other."""
+    if is_dataclass(told):
+        return [value for field in fields(told) for value in flat(getattr(told, field.name))]
+    return [told.tolist() if isinstance(told, np.ndarray) else told]
+
+
+@pytest.mark.parametrize("protocol", ["paper", "robust"])
+def test_a_pruned_run_whose_every_genome_counts_has_the_history_that_it_had(tmp_path, protocol) -> None:
+    nominal = random_rows(100, seed=4)
+    successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
+    repeated = np.repeat(successes, TRIALS)
+    repeated["trial"] = np.tile(np.arange(1, TRIALS + 1), len(successes))
+    rows = np.concatenate([nominal, repeated]) if protocol == "robust" else nominal
+    rows = rows[np.lexsort((rows["index"], rows["trial"] > 0, rows["generation"]))]
+    settings = {"protocol": protocol, "evaluations": 100, "overlaps": "count"}
+    folder = record(tmp_path / "run", made_scene(), rows, **settings)
+    before = read_history(folder, CoverageTarget(KNOWN, ARCHIVE))
+    assert before.successes > 20
+    prune_run(folder)
+    assert has_curves(folder)
+    assert flat(read_history(folder, CoverageTarget(KNOWN, ARCHIVE))) == flat(before)
+
+
+def test_a_pruned_run_whose_overlaps_do_not_count_has_no_curves(tmp_path: Path) -> None:
+    rows = random_rows(100)
+    rows["outcome"][-1] = Outcome.HELD
+    simulated = int((rows["outcome"] > Outcome.OVERLAP).sum())
+    folder = record(tmp_path / "run", made_scene(), rows, evaluations=simulated, overlaps="redraw")
+    assert has_curves(folder)
+    prune_run(folder)
+    assert not has_curves(folder)
+    with pytest.raises(FolderError, match="keeps the successes alone"):
+        read_history(folder, CoverageTarget(KNOWN, ARCHIVE))

@@ -1,0 +1,194 @@
+"""Sessions over mutual TLS: clients that get one, and messages to those that do not."""
+
+import shutil
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from pathlib import Path
+from queue import SimpleQueue
+
+import pytest
+from tests.common import PATIENCE
+from tests.fakes.messages import ANN, EVE, KEYS_BY_ID, join_message
+from tests.tools.security.conftest import HOSTS, encrypted_endpoint
+
+from qdgrasp_coordinator.scheduler.inbox import BusSubscriptions, Inbox, JoinRequest
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.errors import EndpointError, NoReply, Refused, SecurityError
+from qdgrasp_protocol.keys import Keys, last_chunk
+from qdgrasp_protocol.messages import Joined
+from qdgrasp_protocol.session import Credentials, Endpoint, Role, handshake_error
+from qdgrasp_protocol.zenoh_bus import ZenohBus
+from qdgrasp_tools.security import authority
+from qdgrasp_tools.security.access_probe import temporary_certificate
+from qdgrasp_tools.security.folder import SecurityFolder
+
+LAST = 100
+Change = Callable[[Path], object]
+
+
+@pytest.mark.parametrize("host", HOSTS)
+@pytest.mark.parametrize("role", [role for role in Role if role is not Role.ROUTER])
+def test_every_role_gets_a_session_by_name_and_by_address(secured, folder, role, host) -> None:
+    endpoint = secured.replace("127.0.0.1", host)
+    with ZenohBus.connect(endpoint, PATIENCE, credentials=Credentials.find(folder, role)):
+        pass
+
+
+def test_another_authoritys_certificate_is_refused_and_named(secured: str, folder: Path) -> None:
+    ours, theirs = SecurityFolder(folder).authority, authority.create_authority(1)
+    with (
+        temporary_certificate(theirs, Role.WORKER.common_name, trusts=ours) as shown,
+        pytest.raises(EndpointError, match=r"it does not take .*worker\.pem \(tlsv1 alert"),
+    ):
+        ZenohBus.connect(secured, 0.3, credentials=shown)
+
+
+def test_a_router_of_another_authority_is_not_trusted(secured: str) -> None:
+    theirs = authority.create_authority(1)
+    with (
+        temporary_certificate(theirs, Role.WORKER.common_name) as shown,
+        pytest.raises(EndpointError, match="the certificate it shows is not good"),
+    ):
+        ZenohBus.connect(secured, 0.3, credentials=shown)
+
+
+def test_a_router_that_is_reached_by_a_name_not_its_own_is_not_trusted(folder: Path) -> None:
+    elsewhere = encrypted_endpoint().replace("127.0.0.1", "127.0.0.2")
+    with (
+        ZenohBus.router(elsewhere, credentials=Credentials.find(folder, Role.ROUTER)),
+        pytest.raises(EndpointError, match=r"not valid for '127\.0\.0\.2'"),
+    ):
+        ZenohBus.connect(elsewhere, 0.3, credentials=Credentials.find(folder, Role.WORKER))
+
+
+def test_a_workers_certificate_does_not_make_a_router(folder: Path, tmp_path: Path) -> None:
+    """A client with a stolen worker's key cannot take the router's place."""
+    forged = Path(shutil.copytree(folder, tmp_path / "forged"))
+    for kind in ("pem", "key"):
+        shutil.copy(folder / f"worker.{kind}", forged / f"router.{kind}")
+    endpoint = encrypted_endpoint()
+    with (
+        ZenohBus.router(endpoint, credentials=Credentials.find(forged, Role.ROUTER)),
+        pytest.raises(EndpointError, match="the certificate it shows is not good"),
+    ):
+        ZenohBus.connect(endpoint, 0.3, credentials=Credentials.find(folder, Role.WORKER))
+
+
+def test_files_that_are_no_certificates_are_named(secured: str, folder: Path, tmp_path: Path) -> None:
+    broken = Path(shutil.copytree(folder, tmp_path / "broken"))
+    shutil.copy(folder / "monitor.key", broken / "worker.key")
+    reason = handshake_error(Endpoint.parse(secured), Credentials(broken, Role.WORKER))
+    assert "worker.pem and its key cannot be used" in reason
+    (broken / "ca.pem").write_text("no certificate")
+    reason = handshake_error(Endpoint.parse(secured), Credentials(broken, Role.WORKER))
+    assert "ca.pem cannot be used" in reason
+
+
+def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(secured, folder) -> None:
+    key, heard, proof = "qdgrasp/v1/mugs/@recorded", SimpleQueue[int](), partial(Credentials.find, folder)
+    with (
+        ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.RECORDER)) as recorder,
+        ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.COORDINATOR)) as coordinator,
+        coordinator.subscribe(key, lambda sample: heard.put(len(sample.payload))),
+    ):
+        sizes = []
+        while not sizes or sizes[-1] != LAST:
+            for size in (4096, 4097, 1 << 20, 16 << 20, 20 << 20, LAST):
+                recorder.put(key, bytes(size), encoding="application/octet-stream")
+            sizes.append(heard.get(timeout=PATIENCE))
+    assert set(sizes) <= {4096, LAST}
+
+
+def test_a_link_ends_with_the_certificate_that_it_was_opened_by(secured: str, folder: Path) -> None:
+    links = SimpleQueue[bool]()
+    issued = datetime.now(UTC) - timedelta(days=1) + timedelta(seconds=5)
+    ours = SecurityFolder(folder).authority
+    with (
+        temporary_certificate(ours, Role.WORKER.common_name, now=issued) as shown,
+        ZenohBus.connect(secured, PATIENCE, credentials=shown) as worker,
+        worker.on_link(links.put),
+    ):
+        assert links.get(timeout=PATIENCE) is False
+
+
+def test_a_worker_joins_in_its_own_name_alone(secured: str, folder: Path) -> None:
+    """Another worker's id is seen in the keys of its work; its key goes to coordinators alone."""
+    proof, inbox, keys = partial(Credentials.find, folder), Inbox(), Keys("mugs")
+    stolen, seen, joined = SimpleQueue[str](), SimpleQueue[bytes](), Joined(epoch=1, drop=[])
+    over = threading.Event()
+
+    def answer_joins() -> None:
+        while not over.is_set():
+            for event in inbox.take(0.1):
+                if isinstance(event, JoinRequest):
+                    event.answer.set_result(messages.encode(joined))
+
+    def asks(bus: ZenohBus, **values: object) -> Joined:
+        """Ask to join as Ann, until the router knows of the coordinator."""
+        request = messages.encode(join_message(ANN, **values))
+        while True:
+            with suppress(NoReply):
+                return messages.decode(bus.ask(keys.join, request, timeout=PATIENCE), Joined)
+
+    with ExitStack() as stack:
+        enter = stack.enter_context
+        coordinator = enter(ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.COORDINATOR)))
+        ann, ear, eve = (
+            enter(ZenohBus.connect(secured, PATIENCE, credentials=proof(Role.WORKER))) for _ in range(3)
+        )
+        enter(ear.subscribe(keys.work("*"), lambda sample: stolen.put(last_chunk(sample.key))))
+        enter(ear.answer(keys.join, lambda query: seen.put(query.payload) or b""))
+        subscriptions = enter(BusSubscriptions(coordinator, keys, inbox, lambda _: None, lambda _: {}))
+        subscriptions.open()
+        subscriptions.open_to_workers(1)
+        thread = threading.Thread(target=answer_joins)
+        stack.callback(thread.join)
+        stack.callback(over.set)
+        thread.start()
+        assert asks(ann) == joined
+        while stolen.empty():  # the router may tell of the subscriber later
+            coordinator.put(keys.work(ANN), b"work", encoding="application/octet-stream")
+        assert stolen.get() == ANN
+        with pytest.raises(Refused, match=f"the id {ANN} is not that of the worker's key"):
+            asks(eve, number=2**62, credit=0, key=KEYS_BY_ID[EVE])
+        assert asks(ann, number=2) == joined
+        assert seen.empty()
+
+
+def other(name: str) -> Change:
+    """Another role's file in the place of the router's."""
+    return lambda folder: shutil.copy(folder / f"worker.{name}", folder / f"router.{name}")
+
+
+def text(name: str, old: str, new: str) -> Change:
+    """Something else in the router's configuration."""
+
+    def change(folder: Path) -> None:
+        said = (folder / name).read_text()
+        assert old in said
+        (folder / name).write_text(said.replace(old, new))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (other("key"), "Cannot listen on .*: zenoh says '.*KeyMismatch'"),
+        (text("router.json5", '"enabled": true', '"enabled": false'), "does not deny what it does not allow"),
+        (text("router.json5", '"deny"', '"allow"'), "does not deny what it does not allow"),
+        (text("router.json5", '"put"', '"pud"'), "is not a configuration that zenoh takes: unknown variant"),
+        (text("router.json5", "{", "["), "is not a configuration that zenoh takes"),
+        (text("router.json5", '"id": "worker gives (put)"', '"id": "x"'), "Access control not enabled"),
+    ],
+)
+def test_a_router_with_a_damaged_folder_does_not_open(folder, tmp_path, change, words) -> None:
+    damaged = Path(shutil.copytree(folder, tmp_path / "damaged"))
+    change(damaged)
+    with pytest.raises((EndpointError, SecurityError), match=words) as caught:
+        ZenohBus.router(encrypted_endpoint(), credentials=Credentials.find(damaged, Role.ROUTER))
+    assert ".cargo" not in str(caught.value)
+    assert "\n" not in str(caught.value)

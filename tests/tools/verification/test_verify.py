@@ -1,0 +1,251 @@
+"""Choice of rows, each kind with its share, and their comparison."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import made_scene
+
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue
+from qdgrasp_coordinator.storage.engine_table import read_table
+from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import FolderError, InputError
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_tools.campaign.merge_prune import merge_runs
+from qdgrasp_tools.campaign.reduced_journal import reshape_rows
+from qdgrasp_tools.local.supervisor import LocalJobConfig
+from qdgrasp_tools.verification import verify
+from qdgrasp_tools.verification.comparison import (
+    ComparedValues,
+    DifferentRow,
+    PlatformShare,
+    VerificationReport,
+)
+from qdgrasp_tools.verification.verify import (
+    MOST_ROWS,
+    ReevaluationQueue,
+    balanced_sample,
+    choose_rows,
+    compare_engine,
+    run_folders_at,
+)
+
+KINDS = np.repeat(np.array([1, 2, 4, 7], dtype=np.uint8), [500, 3, 40, 8])
+
+
+def drawn(n: int, seed: int = 0) -> np.ndarray:
+    return balanced_sample(KINDS, n, np.random.default_rng(seed))
+
+
+@pytest.mark.parametrize("n", [1, 12, 30, 100, 551])
+def test_no_kind_has_more_than_another_unless_that_has_no_more(n: int) -> None:
+    assert (np.diff(drawn(n)) > 0).all(), "each row once, and in order"
+    found = np.bincount(KINDS[drawn(n)], minlength=8)
+    there = np.bincount(KINDS, minlength=8)
+    assert found.sum() == n
+    assert all(found[k] == there[k] or found[k] >= found.max() - 1 for k in (1, 2, 4, 7))
+
+
+def test_all_rows_are_drawn_where_there_are_no_more() -> None:
+    assert drawn(10_000).tolist() == list(range(len(KINDS)))
+    assert len(balanced_sample(KINDS[:0], 5, np.random.default_rng(0))) == 0
+
+
+def test_a_seed_draws_the_same_again_or_more_of_it_and_another_one_others() -> None:
+    assert drawn(100).tolist() == drawn(100).tolist()
+    assert drawn(100).tolist() != drawn(100, seed=1).tolist()
+    assert set(drawn(20)) <= set(drawn(50))
+
+
+N = 200
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> list[RunFolder]:
+    """Two runs of one scene; some rows of each are errors."""
+    made = []
+    for seed in (0, 1):
+        rows = own(random_rows(N, seed=seed))
+        rows["outcome"][:5] = Outcome.ERROR
+        made.append(record(tmp_path / f"s{seed}", made_scene(), rows, seed=seed, evaluations=N))
+    return made
+
+
+def own(rows: Rows) -> Rows:
+    """Rows as wide as those of a run with the default method."""
+    return reshape_rows(rows, RowShape(genes=15, joints=2, descriptors=9))
+
+
+def rows_of(folder: RunFolder) -> Rows:
+    with folder.journal() as journal:
+        return np.concatenate(list(journal.kept()))
+
+
+def test_all_rows_are_chosen_where_all_are_asked_for_also_those_that_failed(folders) -> None:
+    assert [lot.numbers.tolist() for lot in choose_rows(folders, None, 0)] == [list(range(N))] * 2
+
+
+def test_a_row_that_failed_and_has_a_result_now_differs(folders: list[RunFolder]) -> None:
+    lots = ReevaluationQueue(choose_rows(folders[:1], None, 0))
+    (lot,) = choose_rows(folders[:1], None, 0)
+    recorded = lot.rows()
+    recorded["outcome"][0] = Outcome.ERROR
+    now = recorded[0].copy()
+    now["outcome"] = Outcome.HELD
+    lots.add_row(lot, recorded, 0, now, "")
+    (different,) = lots.different
+    assert (different.columns["outcome"].recorded, different.number) == ("error", 0)
+    lots.add_row(lot, recorded, 0, recorded[0], "it failed again")
+    assert len(lots.different) == 1
+
+
+def test_rows_on_which_the_other_engine_failed_are_counted_apart_and_in_no_table(tmp_path, monkeypatch):
+    rows = own(random_rows(3))
+    rows["outcome"] = (Outcome.HELD, Outcome.DROPPED, Outcome.DROPPED)
+    folder = record(tmp_path / "run", made_scene(), rows, protocol="physical")
+
+    def simulate(_job: str, queue: SingleRunQueue, make_sink: Callable[..., MemorySink], *_: object) -> None:
+        plan = queue.next()
+        assert plan is not None
+        now = plan.shape.empty(3)
+        now["outcome"] = (Outcome.HELD, Outcome.SHAKEN, Outcome.ERROR)
+        make_sink(plan).push(JournalSlice(0, now))
+
+    monkeypatch.setattr(verify, "run_temporary_job", simulate)
+    config, display = LocalJobConfig(workers=1), None
+    found = compare_engine(folder, "mujoco", None, 0, config, display, Stop())  # type: ignore[arg-type]
+    assert found is not None
+    assert (found.rows, found.failed, found.same_verdict) == (2, 1, 2)
+    assert found.outcomes == {"held": {"held": 1}, "dropped": {"shaken": 1}}
+    assert "mujoco failed on 1 more" in found.table
+    assert len(read_table(Path(found.file))) == 2
+    Path(found.file).write_text("row,outcome\n3,held\n")
+    monkeypatch.setattr(verify, "run_temporary_job", lambda *_: pytest.fail("it was simulated"))
+    with pytest.raises(InputError, match=r"is no table that .*; remove it"):
+        compare_engine(folder, "mujoco", None, 0, config, display, Stop())  # type: ignore[arg-type]
+
+
+def test_a_sample_has_rows_of_every_outcome(folders: list[RunFolder]) -> None:
+    lots = choose_rows(folders, 60, 0)
+    outcomes = np.concatenate([rows_of(lot.folder)["outcome"][lot.numbers] for lot in lots])
+    assert len(outcomes) == 60
+    counts = np.bincount(outcomes)
+    assert counts[Outcome.ERROR] in {8, 9}
+    assert set(counts[Outcome.OVERLAP :]) == {8, 9}
+
+
+def test_a_lot_has_its_rows_as_they_are_recorded(folders: list[RunFolder]) -> None:
+    for lot in choose_rows(folders, 30, 0):
+        assert lot.rows().tobytes() == rows_of(lot.folder)[lot.numbers].tobytes()
+
+
+def test_rows_of_a_version_with_other_genes_are_refused(tmp_path: Path) -> None:
+    (lot,) = choose_rows([record(tmp_path / "old", made_scene(), random_rows(N))], 10, 0)
+    with pytest.raises(FolderError) as refused:
+        lot.rows()
+    assert str(refused.value) == (
+        f"{tmp_path / 'old'} has rows of 2 genes where this version of qdgrasp has 15 for the prior 'aimed': "
+        "use the version that recorded them."
+    )
+
+
+def test_nothing_to_choose_from_is_refused(tmp_path: Path) -> None:
+    empty = record(tmp_path / "empty", made_scene(), random_rows(0))
+    with pytest.raises(InputError, match="Nothing is recorded there"):
+        choose_rows([empty], None, 0)
+
+
+def test_rows_of_a_merged_folder_belong_to_the_runs_that_found_them(folders, tmp_path) -> None:
+    merge_runs(folders, tmp_path / "both")
+    lots = choose_rows([RunFolder.open(tmp_path / "both")], None, 0)
+    assert [lot.found_by.run for lot in lots] == ["s0", "s1"]
+    assert [lot.found_by.spec.seed for lot in lots] == [0, 1]
+
+
+def test_many_rows_are_several_lots(tmp_path: Path) -> None:
+    folder = record(tmp_path / "many", made_scene(), random_rows(MOST_ROWS + 10))
+    assert [len(lot.numbers) for lot in choose_rows([folder], None, 0)] == [MOST_ROWS, 10]
+
+
+def test_lots_are_the_runs_of_a_job_one_after_the_other(folders: list[RunFolder]) -> None:
+    lots = ReevaluationQueue(choose_rows(folders, 20, 0))
+    assert lots.extent.evaluations == 20
+    first = lots.next()
+    lots.put_back(first.run)
+    again, second = lots.next(), lots.next()
+    assert second is not None
+    assert (again.run, lots.next()) == (first.run, None)
+    assert first.prior == "aimed"
+
+
+def test_the_runs_of_a_campaign_are_looked_for_in_its_folder(folders, tmp_path) -> None:
+    campaign = JobFolder.create(tmp_path / "campaign", "all")
+    for folder in folders:
+        folder.path.rename(campaign.path / "runs" / folder.path.name)
+        (campaign.path / "runs" / folder.path.name / "job.json").unlink()
+    assert [folder.run for folder in run_folders_at(campaign.path)] == ["s0", "s1"]
+    assert [folder.run for folder in run_folders_at(campaign.path / "runs" / "s1")] == ["s1"]
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(FolderError):
+        run_folders_at(tmp_path)
+
+
+def test_what_differs_is_noted_by_row_and_column(folders: list[RunFolder]) -> None:
+    (lot,) = choose_rows(folders[:1], 3, 0)
+    found, recorded = ReevaluationQueue([lot]), lot.rows()
+    now = recorded.copy()
+    now["fitness"][1] += 1
+    for place in range(3):
+        found.add_row(lot, recorded, place, now[place], "")
+    (different,) = found.different
+    assert (different.number, list(different.columns)) == (int(lot.numbers[1]), ["fitness"])
+    assert (dict(found.columns), sum(found.outcomes.values())) == ({"fitness": 1}, 3)
+
+
+def verified(**settings: object) -> VerificationReport:
+    values = {
+        "rows": 2, "same": 2, "runs": 1, "outcomes": {"held": 1, "dead_end": 1}, "different": [],
+        "columns": {}, "platform": {"numpy": "2"}, "origins": [],
+    }  # fmt: skip
+    return VerificationReport(**values | settings)
+
+
+def test_rows_that_are_the_same_are_told_with_how_they_ended() -> None:
+    told = verified(origins=[PlatformShare(rows=2, platform={"numpy": "2"}, differences="")])
+    assert told.is_same
+    assert told.table == "2 of 2 rows the same: 1 held, 1 dead end\n2 of them were made on this platform"
+
+
+def test_rows_of_a_gpu_are_said_to_have_no_fixed_bits() -> None:
+    platforms = {"NVIDIA H100 90": "; on a GPU rows have no fixed bits", "CPU": ""}
+    for device, words in platforms.items():
+        origin = PlatformShare(rows=2, platform={"warp_device": device}, differences="")
+        assert origin.words == f"2 of them were made on this platform{words}"
+
+
+def test_rows_that_differ_are_told_one_by_one_with_the_platform() -> None:
+    different = DifferentRow(
+        folder="runs/mug", run="run", number=7, generation=0, index=7, trial=0,
+        columns={"fitness": ComparedValues(recorded="2.0", now="1.0")}, reason="",
+    )  # fmt: skip
+    origins = [
+        PlatformShare(rows=1, platform={"numpy": "1"}, differences="numpy 2 instead of 1"),
+        PlatformShare(rows=1, platform={}, differences="numpy 2 instead of absent"),
+    ]
+    told = verified(same=1, different=[different], columns={"fitness": 1}, origins=origins)
+    assert not told.is_same
+    assert told.table.splitlines() == [
+        "row 7 of runs/mug, trial 0: fitness 1.0 instead of 2.0",
+        "columns that differ: fitness in 1 row",
+        "1 of 2 rows the same: 1 held, 1 dead end",
+        "1 of them were made on another platform; here is numpy 2 instead of 1",
+        "1 of them were made on a platform that is not recorded",
+    ]
