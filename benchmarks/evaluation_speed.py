@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
+from benchmarks.benchmark_figures import BENCH_PRIOR, PoseRegime, RegimeSearch
 from benchmarks.hands import HANDS
 from benchmarks.measure import ROUNDS, Figure, Meter, StageTimer, spread
 from benchmarks.naive import NaiveEvaluator, PublishedEvaluator
@@ -23,7 +24,6 @@ from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.registry import method, prior_of
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
-from qdgrasp_tools.local.benchmark_figures import BENCH_PRIOR, PoseRegime, RegimeSearch
 from qdgrasp_worker.candidate_ranking import PoseFeatures
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld

@@ -10,9 +10,8 @@ from typing import Any, Protocol
 
 import msgspec
 import numpy as np
+from benchmarks.benchmark_figures import node_info
 from rich.table import Table
-
-from qdgrasp_tools.local.benchmark_figures import node_info
 
 
 class StageTimer:

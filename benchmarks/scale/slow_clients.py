@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 import zenoh
+from benchmarks.node_benchmark import PlatformSink
 from benchmarks.scale.rig import (
     JOB,
     CoordinatorMeasurement,
@@ -36,7 +37,6 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.session import parse_endpoints, session_settings, to_json5
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.local.node_benchmark import PlatformSink
 from qdgrasp_tools.monitor.feed import Feed
 
 PAUSE = 0.5

@@ -11,7 +11,9 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+from benchmarks.benchmark_figures import BENCH_METHOD
 from benchmarks.measure import spread
+from benchmarks.node_benchmark import PlatformSink, SceneBenchmark
 from benchmarks.scale.rig import (
     ENDLESS,
     JOB,
@@ -42,8 +44,6 @@ from qdgrasp_protocol.process import ProcessGroup, Stop
 from qdgrasp_protocol.rows import Genomes, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.local.benchmark_figures import BENCH_METHOD
-from qdgrasp_tools.local.node_benchmark import PlatformSink, SceneBenchmark
 from qdgrasp_tools.local.progress import LineProgress
 
 WORKERS = 8

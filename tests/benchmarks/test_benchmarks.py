@@ -10,6 +10,7 @@ from benchmarks import ablation, figure, limits, single_run, warm_start
 from benchmarks.coordination import METHODS, Coordinator
 from benchmarks.evaluation_speed import BUILT_IN, ORDER, REFERENCE, REST, STAGES, STEPS, StageProfile
 from benchmarks.measure import Figure, Meter, StageTimer, TimedWork, measure_in_turns, number, spread
+from benchmarks.node_benchmark import PlatformSink
 from benchmarks.scale.rig import (
     JOB,
     SHAPE,
@@ -43,7 +44,6 @@ from qdgrasp_coordinator.search.registry import method
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.messages import Result
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.local.node_benchmark import PlatformSink
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.platform import probe_scene, probes
 

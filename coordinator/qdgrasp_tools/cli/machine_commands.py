@@ -1,7 +1,4 @@
-"""`qdgrasp doctor`, `bench` and `security`: checking, measuring and securing machines.
-
-Whether a machine has what a run needs, how fast it is, and certificates and access lists for jobs on many.
-"""
+"""`qdgrasp doctor` and `security`: what a machine needs for runs, and certificates for jobs on many."""
 
 import importlib.metadata
 import json
@@ -13,18 +10,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from contextlib import ExitStack
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 
 from qdgrasp_assets import catalog
-from qdgrasp_assets.geometry.mesh_io import scale_of
-from qdgrasp_coordinator.scheduler.run_plan import full_spec, prepare_scene
-from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.engines import (
     DEFAULT_ENGINE,
@@ -34,18 +25,11 @@ from qdgrasp_protocol.engines import (
     MissingEngine,
     check_engine,
 )
-from qdgrasp_protocol.errors import InputError, QdgraspError, SecurityError
-from qdgrasp_protocol.process import ProcessGroup, lifetime
-from qdgrasp_protocol.session import Role, default_endpoint
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.errors import InputError, QdgraspError
+from qdgrasp_protocol.session import Role
 from qdgrasp_protocol.text import counted
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.cli import options
-from qdgrasp_tools.local.benchmark_figures import BENCH_METHOD, NodeFigures, node_info, package_version
-from qdgrasp_tools.local.node_benchmark import SceneBenchmark, SceneMeasurement
-from qdgrasp_tools.local.progress import LineProgress
-from qdgrasp_tools.local.restart_policy import GRACE
-from qdgrasp_tools.local.supervisor import check_engines
 
 PACKAGES = ("eclipse-zenoh", "numpy", "trimesh", "msgpack", "coacd")
 OLDEST_PYTHON = (3, 11)
@@ -94,12 +78,19 @@ def _check_python() -> str:
 
 def _check_engines() -> str:
     """Name both engines; without PyBullet, say what does not work."""
-    found = ", ".join(f"{name} {package_version(name)}" for name in ENGINE_PACKAGES.values())
+    found = ", ".join(f"{name} {_version(name)}" for name in ENGINE_PACKAGES.values())
     try:
         check_engine(DEFAULT_ENGINE)
     except MissingEngine as why:
         return f"{found}: {why}"
     return found
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "absent"
 
 
 def _check_bus() -> str:
@@ -148,73 +139,6 @@ def _file_system(path: Path) -> str:
 
 def _check_assets() -> str:
     return f"grippers {', '.join(catalog.gripper_names())}; objects {', '.join(catalog.object_names())}"
-
-
-BENCH_OBJECTS = ("rubiks_cube", "mug")
-
-
-def bench(
-    gripper: Annotated[str, typer.Option(help="Gripper: a built-in name or a TOML file.")] = "panda",
-    objects: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--object", help="Object: a built-in name or a mesh file; may be repeated. Default: two."
-        ),
-    ] = None,
-    mass: options.Mass = None,
-    scale: options.Scale = None,
-    units: options.Units = None,
-    protocol: options.ProtocolOption = None,
-    engine: options.EngineOption = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes; default: one per core.")
-    ] = None,
-    seconds: Annotated[
-        float, typer.Option(min=0.1, max=3600, help="How long each regime is measured.")
-    ] = 4.0,
-    as_json: options.Json = False,
-) -> None:
-    """Measure what this node makes of evaluations: with one worker, and with all.
-
-    A job is carried out as `qdgrasp run` does it, but nothing is kept. Poses anywhere are mostly rejected at
-    once; poses near grasps are mostly shaken to the end. Any run lies between the two.
-
-    Example: qdgrasp bench --gripper allegro --object mug --object banana --workers 4
-    """
-    values = options.given(
-        gripper=gripper,
-        mass=mass,
-        scale=scale_of(units, scale),
-        protocol=protocol,
-        engine=engine,
-        method=BENCH_METHOD,
-    )
-    specs = [full_spec(values | {"object": name}, "bench") for name in objects or BENCH_OBJECTS]
-    check_engines(specs)
-    count, here = options.worker_count(workers, specs[0].engine), node_info()
-    found = [_measure_scene(spec, count, seconds) for spec in specs]
-    figures = NodeFigures(
-        date=datetime.now(UTC).isoformat(timespec="seconds"),
-        node=here,
-        platform=found[0].platform,
-        scenes=[scene.figures for scene in found],
-    )
-    echo(json.dumps(msgspec.to_builtins(figures)) if as_json else figures.table)
-
-
-def _measure_scene(spec: RunSpec, workers: int, seconds: float) -> SceneMeasurement:
-    """Measure one scene with workers of its own; a signal ends the command."""
-    lines = LineProgress("bench")
-    lines.say(f"building the scene of {spec.gripper} and {spec.object}")
-    benchmark = SceneBenchmark(spec, prepare_scene(spec), workers=workers, seconds=seconds, display=lines)
-    with lifetime("qdgrasp bench") as stop, ExitStack() as stack:
-        logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
-        bus, endpoint = ZenohBus.embedded(None)
-        stack.enter_context(bus)
-        measured = benchmark.run(bus, endpoint, stack.enter_context(ProcessGroup(logs, GRACE)), stop)
-    if measured is None:
-        raise typer.Exit(stop.exit_code)
-    return measured
 
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
@@ -270,35 +194,6 @@ def add(
 
     place = SecurityFolder(directory).add(role, name, hosts=_router_hosts(host), days=days)
     echo(f"{place} holds a certificate of the {role}, good for {counted(days, 'day')}: copy it to {name}.")
-
-
-@security_app.command()
-def check(
-    security: cli_support.SecurityOption = None,
-    connect: cli_support.ConnectOption = None,
-    through: Annotated[
-        str | None, typer.Option(help="Endpoint of a second router: who hears and answers is its client.")
-    ] = None,
-) -> None:
-    """Prove the access list at a running router: every role tries every verb on every key.
-
-    It takes a quarter of a minute and needs the folder that `qdgrasp security init` wrote, with ca.key: a
-    certificate without a role, an expired one and another authority's are tried too. The job that it plays
-    is called security-check; running jobs do not notice.
-
-    Example: qdgrasp security check --security security --connect tls/head:7447
-    """
-    if security is None:
-        raise SecurityError("Name the folder that `qdgrasp security init` wrote with --security.")
-    from qdgrasp_tools.security.access_report import check_access, matrix_table
-
-    found = check_access(connect or default_endpoint(encrypted=True).text, security, takers_at=through)
-    echo(matrix_table(found.matrix))
-    for fault in found.faults:
-        echo(f"WRONG: {fault}")
-    echo(found.summary)
-    if found.faults:
-        raise typer.Exit(1)
 
 
 def _router_hosts(given: list[str] | None) -> list[str]:

@@ -67,8 +67,7 @@ PANELS: dict[str, dict[Callable[..., None] | typer.Typer, str]] = {
         job_commands.continue_: "Let a paused job go on.",
         job_commands.drain: "Have workers finish their batches and leave a job.",
         job_commands.cancel: "End a job before it is done.",
-        machine_commands.bench: "Measure the evaluations a second of this machine.",
-        machine_commands.security_app: "Make certificates and access lists, and prove them.",
+        machine_commands.security_app: "Make certificates and access lists.",
     },
     "Science": {
         grasp_commands.evaluate: "Score given hand poses.",

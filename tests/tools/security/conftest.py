@@ -1,4 +1,5 @@
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -6,7 +7,9 @@ from tests.common import own_endpoint
 
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.security.folder import SecurityFolder
+from qdgrasp_tools.security import authority
+from qdgrasp_tools.security.authority import CertificateIdentity
+from qdgrasp_tools.security.folder import SecurityFolder, write_private_file
 
 HOSTS = ("localhost", "127.0.0.1")
 
@@ -20,6 +23,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def encrypted_endpoint() -> str:
     """One on a port that is free now."""
     return own_endpoint("tls")
+
+
+def certificate_files(
+    place: Path,
+    signer: CertificateIdentity,
+    common_name: str = Role.WORKER.common_name,
+    trusts: CertificateIdentity | None = None,
+    now: datetime | None = None,
+) -> Credentials:
+    """Issue a certificate for a day from `now` that trusts routers of `trusts`, else of its signer."""
+    place.mkdir()
+    files = Credentials(place, Role.WORKER)
+    identity = authority.issue_certificate(signer, common_name, 1, now=now)
+    write_private_file(files.authority, (trusts or signer).certificate_pem)
+    write_private_file(files.certificate, identity.certificate_pem)
+    write_private_file(files.key, identity.key_pem)
+    return files
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""Figures of `qdgrasp bench`: evaluations per second of this machine's workers, by regime.
+"""Evaluations per second of this machine's workers, by regime of poses.
 
 Anywhere, most poses overlap or miss, and are rejected soon; near grasps, most are shaken to the end. A run
 is a mixture of both, so that these two regimes say what any run takes.
@@ -8,7 +8,7 @@ import importlib.metadata
 import os
 import platform
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from enum import Enum
 from math import pi
@@ -258,7 +258,6 @@ def _processor_name() -> str:
 
 
 RUN_EVALUATIONS = 10_000  # Evaluations of the run whose time is predicted
-DIGEST_DIGITS = 12  # Digits of a sha256 that the table shows
 
 
 class RegimeRate(Struct, frozen=True, kw_only=True):
@@ -294,49 +293,6 @@ class SceneFigures(Struct, frozen=True, kw_only=True):
     run_seconds: dict[str, float]
     """By regime: time that 10 000 evaluations take all workers."""
 
-    @property
-    def lines(self) -> Iterator[str]:
-        """The scene's part of the table."""
-        counts = sorted({rate.workers for rate in self.rates})
-        heads = [counted(n, "worker") for n in counts]
-        yield _line(f"{self.gripper} on {self.object}", *heads, "scaling" if len(counts) > 1 else "")
-        for regime in dict.fromkeys(rate.regime for rate in self.rates):
-            rates = [rate for rate in self.rates if rate.regime == regime]
-            scaling = [f"x {self.scaling[regime]:.2f}"] if regime in self.scaling else []
-            yield _line(f"  {regime}, a second", *(_number(rate.per_second) for rate in rates), *scaling)
-            yield _line("    a CPU second", *(_number(rate.per_cpu_second) for rate in rates))
-            yield _line("    of a core each", *(f"{rate.core_share:.0%}" for rate in rates))
-            yield _line("    successes", *(f"{rate.success_share:.1%}" for rate in rates))
-        yield f"  A worker starts in {self.start_seconds:.1f} s and takes {self.memory_bytes / 1e6:.0f} MB."
-        yield f"  {self.run_time_words}"
-
-    @property
-    def run_time_words(self) -> str:
-        """Predicted time of a run, in words."""
-        times = [f"{duration(time)} if all are {regime}" for regime, time in self.run_seconds.items()]
-        between = "; a search lies between" if len(times) > 1 else ""
-        return f"{RUN_EVALUATIONS:,} evaluations take {', '.join(times)}{between}."
-
-
-class NodeFigures(Struct, frozen=True, kw_only=True):
-    """Results of `qdgrasp bench`."""
-
-    date: str
-    """UTC, ISO 8601."""
-    node: NodeInfo
-    platform: dict[str, str]
-    """Entries that decide the bits of results (docs/reproducibility.md)."""
-    scenes: list[SceneFigures]
-
-    @property
-    def table(self) -> str:
-        """The figures as a table for a person."""
-        digests = {name: value[:DIGEST_DIGITS] for name, value in self.platform.items() if len(value) == 64}
-        versions = {name: value for name, value in self.platform.items() if name not in digests}
-        words = (", ".join(f"{name} {value}" for name, value in part.items()) for part in (versions, digests))
-        parts = ["\n".join(scene.lines) for scene in self.scenes]
-        return "\n\n".join(["\n".join([f"{self.date}: {self.node.words}", *words]), *parts])
-
 
 def regime_rate(regime: PoseRegime, workers: int, work: Throughput) -> RegimeRate:
     """Return the speed of so many workers in one regime."""
@@ -362,18 +318,3 @@ def run_seconds(rates: Sequence[RegimeRate]) -> dict[str, float]:
     """Return the time that a run takes the most workers if all poses are of a regime [s]."""
     most = max(rate.workers for rate in rates)
     return {rate.regime: RUN_EVALUATIONS / rate.per_second for rate in rates if rate.workers == most}
-
-
-def duration(seconds: float) -> str:
-    """Write a time in words, to two figures or so."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
-def _number(value: float) -> str:
-    return f"{value:,.0f}" if value >= 20 else f"{value:.1f}"
-
-
-def _line(name: str, *cells: str) -> str:
-    return f"{name:<36}{''.join(f'{cell:>12}' for cell in cells)}".rstrip()

@@ -4,6 +4,19 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from benchmarks.benchmark_figures import (
+    BENCH_PRIOR,
+    PoseRegime,
+    RegimeRate,
+    RegimeSearch,
+    SceneFigures,
+    ThroughputMeter,
+    peak_memory,
+    regime_rate,
+    run_seconds,
+    scaling,
+)
+
 from qdgrasp_assets.genes import layout
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
@@ -16,18 +29,6 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import ProcessGroup, Stop
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.local.benchmark_figures import (
-    BENCH_PRIOR,
-    PoseRegime,
-    RegimeRate,
-    RegimeSearch,
-    SceneFigures,
-    ThroughputMeter,
-    peak_memory,
-    regime_rate,
-    run_seconds,
-    scaling,
-)
 from qdgrasp_tools.local.progress import ProgressDisplay
 from qdgrasp_tools.local.restart_policy import RestartPolicy, start_worker
 
