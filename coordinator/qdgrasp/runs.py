@@ -142,7 +142,7 @@ class Run:
     def rows(self) -> Rows:
         """Return every row of the journal (n,), failures and trials too, as a structured array.
 
-        The columns stand in docs/run-folder.md. A folder that was pruned or merged has the successes alone.
+        The columns stand in docs/run-folder.md.
         """
         parts = list(self.blocks())
         if parts:

@@ -20,8 +20,8 @@ import tomli_w
 from tests.common import own_endpoint
 
 import qdgrasp
+from qdgrasp_coordinator.metrics.arrays import reshape_rows
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_tools.campaign.reduced_journal import reshape_rows
 from qdgrasp_worker.platform import probe_digest
 
 HERE = Path(__file__).parent

@@ -5,7 +5,6 @@ import shutil
 import sqlite3
 from pathlib import Path
 
-import numpy as np
 import pytest
 from tests.golden.runs import RECORDED, carry_out, command, digests_of, golden
 
@@ -47,16 +46,8 @@ def test_a_run_that_was_begun_has_the_first_rows(home: Path) -> None:
     assert begun.rows().tobytes() == finished.rows()[:56].tobytes()
 
 
-def test_a_pruned_run_has_the_successes(home: Path) -> None:
-    pruned, finished = (qdgrasp.open(home / name) for name in ("pruned", "finished"))
-    rows = finished.rows()
-    assert pruned.rows().tobytes() == rows[np.isin(rows["outcome"], SUCCESSES)].tobytes()
-    assert pruned.summary.successes == 29
-    assert pruned.grasps().poses().tobytes() == finished.grasps().poses().tobytes()
-
-
 @pytest.mark.usefixtures("same_platform")
-@pytest.mark.parametrize(("name", "rows"), [("finished", 93), ("begun", 56), ("pruned", 29)])
+@pytest.mark.parametrize(("name", "rows"), [("finished", 93), ("begun", 56)])
 def test_every_row_is_verified_as_of_this_platform(name: str, rows: int, home: Path) -> None:
     told = json.loads(command(home, "verify", name, "--all", "--json", "--workers", 1))
     assert told["same"] == told["rows"] == rows

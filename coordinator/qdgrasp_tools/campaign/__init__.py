@@ -1,1 +1,1 @@
-"""Campaigns, many runs of one job; and runs summed up, merged, pruned and ranked."""
+"""Campaigns, many runs of one job; and runs summed up and ranked."""

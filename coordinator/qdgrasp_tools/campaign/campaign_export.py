@@ -35,7 +35,6 @@ from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_folder import open_campaign
-from qdgrasp_tools.campaign.summary import summary_listing
 from qdgrasp_tools.export import graspgen
 from qdgrasp_tools.export.dataset_card import (
     CARD,
@@ -308,8 +307,6 @@ class DatasetWriter:
         spec = folder.spec
         if known := self._finished.find(folder.path, spec):
             return known.totals
-        if journal.sources:
-            return summary_listing(journal).totals
         return count_rows(spec, journal.blocks()).totals
 
     @property

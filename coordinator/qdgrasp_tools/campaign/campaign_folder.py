@@ -45,7 +45,7 @@ from qdgrasp_protocol.errors import (
     RunFailed,
 )
 from qdgrasp_protocol.messages import MAX_BUNDLE
-from qdgrasp_protocol.spec import STOP_KEYS, RunSpec, differences, read_run_spec, run_spec, to_values
+from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_values
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_file import (
     LARGEST_CAMPAIGN,
@@ -62,7 +62,6 @@ from qdgrasp_tools.campaign.object_table import (
     list_objects,
     object_quantiles,
 )
-from qdgrasp_tools.campaign.summary import summary_listing
 
 
 def extend_run(folder: RunFolder, **goals: float) -> None:
@@ -101,8 +100,8 @@ def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
     """Return the counts of the run that `spec` asks for.
 
     None: it has not begun, or its journal cannot be read; the recorder that opens it says why. Raises
-    FolderError or EndsTooSoon where the folder holds a run of another spec, more evaluations than the budget,
-    or successes alone of fewer; ImpossibleValue where the spec in its journal is none of this version.
+    FolderError or EndsTooSoon where the folder holds a run of another spec, or more evaluations than the
+    budget.
     """
     if not RunFolder.is_run(path):
         return None
@@ -111,19 +110,14 @@ def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
         raise FolderError(f"{path} holds a run of another spec ({', '.join(differ)}); name another folder.")
     try:
         with folder.journal() as journal:
-            if not journal.sources:
-                try:
-                    found = count_rows(spec, journal.blocks())
-                    found.check_budget(spec)
-                except ImpossibleValue as reason:
-                    raise EndsTooSoon(folder.path, reason) from None
-                return RunListing.of(journal.run, spec, journal.scene, found)
-            listing = summary_listing(journal)
+            try:
+                found = count_rows(spec, journal.blocks())
+                found.check_budget(spec)
+            except ImpossibleValue as reason:
+                raise EndsTooSoon(folder.path, reason) from None
+            return RunListing.of(journal.run, spec, journal.scene, found)
     except FolderError:
         return None
-    if any(getattr(folder.spec, key) != getattr(spec, key) for key in STOP_KEYS):
-        raise FolderError(f"{path} was pruned, so that it cannot be gone on with; name another folder.")
-    return listing
 
 
 def campaign_progress(folder: JobFolder, runs: Mapping[str, RunSpec]) -> dict[str, RunProgress]:

@@ -65,12 +65,6 @@ def read_run_grasps(folder: RunFolder) -> Rows:
     A grasp survived a nominal disturbance; under a protocol with trials all of its own are recorded.
     """
     with folder.journal() as journal:
-        priors = sorted({prior_of(source.asked) for source in journal.sources})
-        if len(priors) > 1:
-            raise InputError(
-                f"{folder.path} is merged from runs with different priors, {' and '.join(priors)}, whose "
-                "genomes mean different things; merge runs of one prior for this."
-            )
         found = [journal.shape.empty(0), *scored_successes(journal.kept(), TrialPlan.of(folder.spec))]
     rows = np.concatenate(found)
     rows["trial"] = 0

@@ -1,9 +1,7 @@
 """Summary of a run: the figures that `info` prints, counted from its journal."""
 
-import msgspec
 from msgspec import field, structs
 
-from qdgrasp_coordinator.metrics.job_status import RunListing
 from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows
 from qdgrasp_coordinator.metrics.success_metrics import (
     Diversity,
@@ -14,7 +12,6 @@ from qdgrasp_coordinator.metrics.success_metrics import (
 )
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
-from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.text import counted
@@ -79,10 +76,6 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     platform: dict[str, str]
     in_both: dict[str, HeldShare] = field(default_factory=dict)
     """Of grasps that hold, how many do so in another engine too, by its name, where the run has a table."""
-    reduced: str = ""
-    """Rows left out of the journal, in words; empty where every row is there."""
-    sources: list[str] = field(default_factory=list)
-    """The runs that were merged into the journal, a line each."""
 
     @property
     def words(self) -> str:
@@ -97,13 +90,12 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     def table(self) -> str:
         """All figures, one to a line."""
         values = dict.fromkeys(FIRST_FIELDS, "") | structs.asdict(self)
-        platform, sources = values.pop("platform"), values.pop("sources")
+        platform = values.pop("platform")
         values["diversity"], values["nu"] = self.diversity.words, self.nu.words
         values["eta"] = None if self.eta is None else self.eta.words
         shares = values.pop("in_both")
         lines = [f"{name.replace('_', ' '):<16} {_text(value)}" for name, value in values.items()]
         lines += [f"{f'in {name} too':<16} {share.words}" for name, share in shares.items()]
-        lines += [f"{'source':<16} {source}" for source in sources]
         lines += [f"{'platform':<16} {name} {value[:24]}" for name, value in sorted(platform.items())]
         return "\n".join(lines)
 
@@ -112,8 +104,6 @@ def run_summary(folder: RunFolder) -> RunSummary:
     """Count what is in a run's folder, also while the run goes on."""
     spec = folder.spec
     with folder.journal() as journal:
-        if journal.sources:
-            return journal.summary(RunSummary)
         metrics, archive = SuccessMetrics(TrialPlan.of(spec)), empty_niche_archive(folder)
         found = count_rows(spec, metrics.counting(archive.inserting(journal.blocks())))
         return RunSummary(
@@ -144,14 +134,6 @@ def run_summary(folder: RunFolder) -> RunSummary:
             platform=journal.platform,
             in_both=held_shares(folder),
         )
-
-
-def summary_listing(journal: Journal) -> RunListing:
-    """Return a pruned or merged run's listing, from its summary; outcomes are not known."""
-    summary = structs.asdict(journal.summary(RunSummary))
-    known = {name: summary[name] for name in RunListing.__struct_fields__ if name in summary}
-    known |= {"run": journal.run, "outcomes": {}, "finished": summary["ended"]}
-    return msgspec.convert(known, RunListing)
 
 
 def _text(value: object) -> str:

@@ -1,17 +1,15 @@
-"""`qdgrasp campaign`, `analyse`, `merge` and `prune`: many runs, and their results."""
+"""`qdgrasp campaign` and `analyse`: many runs, and their results."""
 
 import json
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 
 from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
-from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EndedEarly, ImpossibleValue, InputError
@@ -312,63 +310,3 @@ def analyse(
         echo(sentence)
     mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""
     echo(f"{counted(found.runs, 'run')}{mark}. Figures and tables: {found.out / 'tables.md'}")
-
-
-def merge(
-    directories: Annotated[
-        list[Path], typer.Argument(metavar="DIRS...", help="Folders of runs, pruned or merged ones too.")
-    ],
-    out: Annotated[Path, typer.Option(help="The new folder.")],
-    as_json: options.Json = False,
-) -> None:
-    """Join the successes of runs of one scene, whatever their methods and seeds.
-
-    The new folder is read like a run's: info, coverage, reference, rerank. It keeps what each run was, and
-    which rows are its own. A run that is named twice counts once, and so does one beside an earlier copy of
-    itself. The runs stay as they are.
-
-    Example: qdgrasp merge runs/mug-s0 runs/mug-s1 --out runs/mug-all
-    """
-    from qdgrasp_tools.campaign.merge_prune import merge_runs  # the scene's libraries take their time
-
-    merged = merge_runs([RunFolder.open(directory) for directory in directories], out)
-    found = merged.summary
-    if as_json:
-        echo(json.dumps(msgspec.to_builtins(found) | {"repeats": list(merged.repeats)}))
-        return
-    for sentence in merged.repeats:
-        echo(sentence)
-    echo(f"{found.words} {counted(len(found.sources), 'run')} in {out}.")
-
-
-MIN_MEGABYTES = 50_000  # bytes, 0.1 MB when rounded
-
-
-def prune(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a campaign's.")],
-) -> None:
-    """Drop the failures of finished runs for good; successes, their trials and all figures stay.
-
-    A pruned run cannot be gone on with and has no digest; it has curves where every genome counts as an
-    evaluation (overlaps = "count"). Of a campaign's runs those that are not finished stay as they are.
-
-    Example: qdgrasp prune runs/demo
-    """
-    from qdgrasp_tools.campaign.merge_prune import (
-        prune_campaign,
-        prune_run,  # the archives' libraries take their time
-    )
-
-    is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign
-    if not is_campaign:
-        freed = prune_run(RunFolder.open(directory))
-        echo(f"{_freed_room(freed)}; {directory} keeps successes alone.")
-        return
-    done = prune_campaign(JobFolder(directory))
-    kept = counted(done.runs, "run keeps", "runs keep")
-    echo(f"{_freed_room(done.freed)}; {done.pruned} of {kept} successes alone.")
-
-
-def _freed_room(freed: int) -> str:
-    """Say how many bytes were freed; a small run may even have grown."""
-    return f"{freed / 1e6:.1f} MB are free" if freed >= MIN_MEGABYTES else "Hardly any room is free"

@@ -53,8 +53,6 @@ PANELS: dict[str, dict[Callable[..., None] | typer.Typer, str]] = {
     "Share": {
         grasp_commands.export: "Write grasps to files of other tools, or as a data set.",
         grasp_commands.import_: "Turn files of grasps into poses to evaluate.",
-        campaign_commands.merge: "Join the successes of runs of one scene.",
-        campaign_commands.prune: "Drop the failures of finished runs.",
     },
     "Your own hands and objects": {
         gripper_commands.gripper_app: "Make and check the file of a hand.",

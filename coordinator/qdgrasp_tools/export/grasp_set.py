@@ -279,8 +279,6 @@ class Grasps:
             return np.where(is_known, outcomes, np.int8(-1))
         if engine not in self.elsewhere:
             mend = f"run 'qdgrasp verify DIR --engine {engine} --all' first"
-            if any(source.is_reduced for source in self.sources):
-                mend = "it is merged or pruned, and `qdgrasp verify --engine` needs runs with all their rows"
             raise InputError(f"Which grasps hold in {engine} is not known of this run: {mend}.")
         return np.asarray(self.elsewhere[engine]["outcome"])
 

@@ -263,11 +263,6 @@ def _confidence_words(spec: RunSpec) -> str:
 
 
 def _source_runs(folder: RunFolder, journal: Journal) -> tuple[SourceRun, ...]:
-    if journal.sources:
-        return tuple(
-            SourceRun(run=source.run, digest=source.digest, spec=_public_spec(source.asked))
-            for source in journal.sources
-        )
     name = folder.path.absolute().name
     return (SourceRun(run=name, digest=journal_digest(journal), spec=_public_spec(folder.spec)),)
 

@@ -44,7 +44,6 @@ from qdgrasp_protocol.text import printable
 from qdgrasp_tools.campaign.campaign_file import read_campaign
 from qdgrasp_tools.campaign.object_library import read_skip_report
 from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
-from qdgrasp_tools.campaign.summary import summary_listing
 from qdgrasp_tools.report.row_report import RowContextCache
 
 ROWS_PER_ANSWER = 1 << 19  # Most journal rows counted for one answer
@@ -150,7 +149,7 @@ class RunIndex:
                     kept.move_to_end(path)
             return known
         with Journal.open(path) as journal:
-            listing = summary_listing(journal) if journal.sources else self._counted(path, journal)
+            listing = self._counted(path, journal)
             is_whole = path not in self._counts or self._counts[path].rows == journal.count
         listing = listing and _with_folder(listing, path)
         if listing and is_whole and has_rested(stamp, now):

@@ -280,10 +280,10 @@ class FolderRecords:
             return RecordPage(origin, *success_pages.success_page(journal, first, context), journal.count)
 
     def curve(self, job: str, run: str) -> GrowthCurve:
-        """Count the rows of the journal; a merged or pruned one has no curve."""
+        """Count the rows of the journal."""
         folder = self._index.run(job, run)
         with folder.journal() as journal:
-            return count_rows(folder.spec, () if journal.sources else journal.blocks()).curve(run)
+            return count_rows(folder.spec, journal.blocks()).curve(run)
 
     def place(self, job: str, run: str) -> RunLocation:
         """Return its folder, here."""

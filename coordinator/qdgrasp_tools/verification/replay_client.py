@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Bundle, Scene
+from qdgrasp_coordinator.metrics.arrays import reshape_rows
 from qdgrasp_coordinator.scheduler.run_plan import row_shape
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
@@ -35,7 +36,6 @@ from qdgrasp_protocol.replay_messages import (
     ReplayRequest,
 )
 from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_tools.campaign.reduced_journal import reshape_rows
 from qdgrasp_tools.local.restart_policy import GRACE
 from qdgrasp_tools.report.row_report import row_at
 

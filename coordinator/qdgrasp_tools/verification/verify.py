@@ -293,7 +293,7 @@ def compare_engine(
     """Simulate successes of a run in another engine, and write the table in its folder.
 
     Their commanded poses are what is simulated: `most` of them, None all. None where it was stopped. Raises
-    InputError for a run of `released`, of several runs, or without successes, and for two engines.
+    InputError for a run of `released` or without successes, and for two engines.
     """
     if len(engine_names(engine)) > 1:
         raise InputError(f"verify compares with one engine, and '{engine}' names two; name one of them.")
@@ -301,11 +301,6 @@ def compare_engine(
     spec = run_spec({key: value for key, value in values.items() if key not in OF_TRIALS}, "verify")
     check_engines([spec])
     with folder.journal() as journal:
-        if journal.sources:
-            raise InputError(
-                f"{folder.path} is merged or pruned: compare the engines on a run that keeps all its rows, "
-                "before that."
-            )
         rows = np.concatenate([journal.shape.empty(0), *journal.kept()])
     places = np.flatnonzero((rows["outcome"] >= Outcome.DROPPED) & (rows["trial"] == 0))
     if not len(places):

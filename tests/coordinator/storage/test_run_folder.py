@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import IO
 
 import msgspec
-import numpy as np
 import pytest
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_assets.scene import Bundle, pack_scene
-from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.storage import job_folder
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
@@ -21,7 +19,6 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance, proven
 from qdgrasp_protocol.errors import FolderError, OtherRun
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
-from qdgrasp_tools.campaign.merge_prune import merge_runs
 
 SPEC = RunSpec(gripper="panda", object="mug")
 BUNDLE = Bundle(b"scene", "7ac9b4c4f4f4ab3e9b0c0cd1b4a3a7ef5a3dc1e4e2b2f7a6d0c5b8d2a1e0f9c8")
@@ -255,20 +252,3 @@ def test_the_rows_of_a_run_are_its_own(tmp_path: Path, make_scene: SceneMaker) -
         (only,) = provenances(folder, journal)
         assert provenance(folder, journal, 99) == only
     assert (only.run, only.rows, only.spec) == ("one", range(100), folder.spec)
-
-
-def test_the_rows_of_a_merged_folder_are_those_of_its_runs(tmp_path: Path, make_scene: SceneMaker) -> None:
-    folders = [run(tmp_path / f"s{seed}", make_scene, seed) for seed in (0, 1)]
-    merge_runs(folders, tmp_path / "both")
-    merged = RunFolder.open(tmp_path / "both")
-    with merged.journal() as journal:
-        found = provenances(merged, journal)
-        assert [one.run for one in found] == ["s0", "s1"]
-        assert found[-1].rows.stop == journal.count
-        for one, folder in zip(found, folders, strict=True):
-            assert one.spec == folder.spec
-            with folder.journal() as whole:
-                expected = np.concatenate([successes(rows) for rows in whole.kept()])
-            rows = np.concatenate(list(journal.kept(one.rows.start, one.rows.stop)))
-            assert rows.tobytes() == expected.tobytes()
-            assert provenance(merged, journal, one.rows.start) == one

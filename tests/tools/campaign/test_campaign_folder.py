@@ -33,7 +33,6 @@ from qdgrasp_tools.campaign.campaign_folder import (
     open_campaign,
     run_listing,
 )
-from qdgrasp_tools.campaign.merge_prune import prune_run
 
 
 def finished_listing(path: Path, spec: RunSpec) -> RunListing | None:
@@ -183,16 +182,6 @@ def test_an_unfinished_run_is_not_in_the_index(tmp_path: Path) -> None:
     run.path.rename(job.run_path("run-0"))
     assert extent(job, run_spec_of(job)).runs_done == 0
     assert not (job.path / FINISHED).exists()
-
-
-def test_a_pruned_run_is_finished_with_what_it_had_and_cannot_be_extended(campaign: JobFolder) -> None:
-    spec = run_spec_of(campaign)
-    known = extent(campaign, spec)
-    prune_run(RunFolder(campaign.run_path("run-0")))
-    assert finished_here(campaign, spec) is None
-    assert extent(campaign, spec) == known
-    with pytest.raises(FolderError, match="was pruned"):
-        extent(campaign, msgspec.structs.replace(spec, evaluations=N + 1))
 
 
 def test_a_run_that_is_to_end_before_what_is_recorded_is_named(run: RunFolder) -> None:

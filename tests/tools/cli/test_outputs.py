@@ -24,7 +24,6 @@ READERS = {
     "export": ("--format", "csv", "--out", "never"),
     "render": ("--grasp", "0", "--out", "never.png"),
     "verify": (),
-    "prune": (),
     "resume": (),
     "rerank": ("--top", "1"),
 }
@@ -59,7 +58,6 @@ FILES = {
 FOLDERS = {
     "campaign": "campaign campaign.toml --out OUT",
     "export graspgen": "export run --format graspgen -o OUT",
-    "merge": "merge run --out OUT",
     "rerank": "rerank run --out OUT",
     "run": "run --gripper panda --object mug --evaluations 10 --out OUT",
     "security init": "security init OUT",

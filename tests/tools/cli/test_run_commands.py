@@ -119,15 +119,6 @@ def test_trials_that_cannot_be_are_refused(flags: str, words: str) -> None:
     assert words in str(done.exception)
 
 
-@pytest.mark.parametrize(("rows", "words"), [(60, "Hardly any room is free; "), (6000, " MB are free; ")])
-def test_room_is_told_where_there_is_some(tmp_path, make_scene, rows, words) -> None:
-    folder = record(tmp_path / "run", make_scene(), random_rows(rows), evaluations=rows)
-    done = CliRunner().invoke(app, ["prune", str(folder.path)])
-    assert done.exit_code == 0, done.output
-    assert f"{words}{folder.path} keeps successes alone." in done.stdout
-    assert "0.0" not in done.stdout
-
-
 EVIL = "\x1b[2J"
 
 

@@ -23,10 +23,9 @@ from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import SHAKES, TRIALS, Outcome, Rows
-from qdgrasp_tools.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.export.exporter import FORMATS, export_run
-from qdgrasp_tools.export.grasp_reader import GraspReader, read_run
+from qdgrasp_tools.export.grasp_reader import read_run
 
 each_format = pytest.mark.parametrize("name", FORMATS)
 FINISHED = {"evaluations": 16, "overlaps": "count"}
@@ -187,29 +186,6 @@ def test_a_run_of_a_campaign_gives_its_grasps_like_any_other(run: RunFolder, tmp
     assert set(READERS["parquet"](tmp_path / "out").beside["run"]) == {"jaw-block-s0"}
 
 
-def test_a_pruned_run_gives_the_same_grasps(make_run: MakeRun, tmp_path: Path) -> None:
-    run = make_run(*sorted([*Outcome, *Outcome]), **FINISHED)
-    before = read_run(run)
-    prune_run(run)
-    after = read_run(run)
-    assert after.rows.tobytes() == before.rows.tobytes()
-    assert after.starts.tobytes() == before.starts.tobytes()
-    assert after.numbers.tolist() == list(range(6))
-
-
-def test_of_merged_runs_each_genome_is_read_with_its_own_prior(make_run, scene, tmp_path) -> None:
-    contact = make_run(*[Outcome.HELD] * 16, name="contact", **FINISHED)
-    rows = random_rows(scene, [Outcome.SHAKEN] * 16, seed=1, prior="antipodal")
-    antipodal = record(tmp_path / "antipodal", scene, rows, method="antipodal_rand", **FINISHED)
-    merge_runs([contact, antipodal], tmp_path / "all")
-    merged, parts = (read_run(RunFolder.open(tmp_path / "all")), [read_run(antipodal), read_run(contact)])
-    assert [source.run for source in merged.sources] == ["antipodal", "contact"]
-    assert merged.starts.tobytes() == b"".join(part.starts.tobytes() for part in parts)
-    export_run(RunFolder.open(tmp_path / "all"), tmp_path / "out", "parquet")
-    table = READERS["parquet"](tmp_path / "out").beside
-    assert table["run"].tolist() == ["antipodal"] * 16 + ["contact"] * 16
-
-
 def trials_of(rows: Rows, totals: list[int]) -> Rows:
     """The trials of successes, whose fitness sums up to these totals."""
     repeated = np.repeat(rows, TRIALS)
@@ -231,24 +207,6 @@ def test_confidence_is_eta_where_all_trials_are_there(scene: Scene, tmp_path: Pa
     assert READERS["csv"](tmp_path / "out").quality.tolist() == [0.75]
 
 
-def test_grasps_read_by_number_are_those_of_the_whole_with_their_etas(scene, tmp_path) -> None:
-    settings = {"method": "contact_rand", "protocol": "robust", "evaluations": 3, "overlaps": "count"}
-    parts = []
-    for seed in (0, 1):
-        rows = random_rows(scene, [Outcome.HELD] * 3, seed)
-        journal = np.concatenate([rows, trials_of(rows, [150, 40 + 20 * seed, 90])])
-        parts.append(record(tmp_path / f"run{seed}", scene, journal, **settings))
-    merge_runs(parts, tmp_path / "all")
-    folder = RunFolder.open(tmp_path / "all")
-    whole, order = read_run(folder), np.array([4, 0, 5, 1, 3, 2])
-    assert np.unique(whole.eta).size > 3
-    with folder.journal() as journal:
-        found = GraspReader(folder, journal).at(whole.numbers[order])
-    assert found.origins.tolist() == [1, 0, 1, 0, 1, 0]
-    for name in ("rows", "eta", "trials", "starts", "numbers"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name)[order])
-
-
 def judge(run: RunFolder, *now: Outcome) -> None:
     """Give the first successes of a run these verdicts in MuJoCo."""
     found = read_run(run)[: len(now)]
@@ -262,9 +220,6 @@ def test_only_what_holds_in_the_other_engine_is_written_and_what_is_not_known_is
     assert "run 'qdgrasp verify DIR --engine mujoco --all' first" in refusal(
         run.path, "csv", tmp_path / "out.csv", "--holds-in", "mujoco"
     )
-    pruned = make_run(Outcome.HELD, name="pruned", evaluations=1)
-    prune_run(pruned)
-    assert "it is merged or pruned" in refusal(pruned.path, "csv", tmp_path / "p.csv", "--holds-in", "mujoco")
     judge(run, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD)
     said = command(run.path, "--format", "csv", "-o", tmp_path / "out.csv", "--holds-in", "mujoco")
     assert said.stdout.startswith("2 grasps written")

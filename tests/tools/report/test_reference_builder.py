@@ -20,12 +20,10 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.campaign.merge_prune import merge_runs, prune_run
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.report import reference_builder
 from qdgrasp_tools.report.reference_builder import build_reference_sets, reference_set_of
 from qdgrasp_tools.report.run_groups import distinct_searches, read_histories
-from qdgrasp_tools.report.run_history import has_curves
 
 SHAPE = RowShape(genes=2, joints=2)
 Found = dict[tuple[int, int, int], Outcome]
@@ -141,21 +139,6 @@ def test_a_run_counts_once_however_often_and_however_long_it_is_added(run, tmp_p
     assert out.read_bytes() == whole.read_bytes()
 
 
-def test_runs_count_alike_alone_merged_and_pruned(run: Runs, tmp_path: Path) -> None:
-    first, second = (
-        run({A: HELD, B: DROPPED}, evaluations=2),
-        run({A: DROPPED, C: HELD}, seed=1, evaluations=2),
-    )
-    alone, merged, mixed = (tmp_path / f"{name}.npz" for name in ("alone", "merged", "mixed"))
-    build_reference_sets([first, second], alone)
-    merge_runs([first, second], tmp_path / "both")
-    build_reference_sets([RunFolder(tmp_path / "both")], merged)
-    prune_run(first)
-    build_reference_sets([RunFolder(tmp_path / "both"), first, second], mixed)
-    assert incidence(alone) == {A: [1, 3], B: [0, 1], C: [0, 3]}
-    assert alone.read_bytes() == merged.read_bytes() == mixed.read_bytes()
-
-
 def test_a_run_is_known_by_its_search_and_scene_not_by_where_its_files_lie(run: Runs) -> None:
     def digests(**settings: object) -> tuple[str, ...]:
         origin = reference_set_of(run({A: HELD}, **settings)).origin
@@ -177,11 +160,6 @@ def test_searches_of_ones_own_are_told_apart_by_their_finds(run: Runs) -> None:
     histories = list(read_histories([one, other, copy], ReferenceLookup(())))
     kept, copies = distinct_searches(histories)
     assert ([run.path for run in kept], [run.path for run in copies]) == ([one.path, other.path], [copy.path])
-    prune_run(one)
-    with one.journal() as journal:
-        assert reference_set_of(one).origin.runs == names[0]
-        assert journal.sources
-    assert not has_curves(one)
 
 
 def test_a_run_without_a_success_may_be_added_to_a_set_as_one_that_found_nothing(run, tmp_path) -> None:

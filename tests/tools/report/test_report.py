@@ -16,12 +16,10 @@ from typer.testing import CliRunner
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, OutputError, UnknownName
 from qdgrasp_protocol.rows import TRIALS, Outcome
-from qdgrasp_tools.campaign.merge_prune import prune_run
 from qdgrasp_tools.campaign.summary import run_summary
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.report.reference_builder import build_reference_sets
 from qdgrasp_tools.report.report import CampaignReport, write_report
-from qdgrasp_tools.report.run_groups import search_run_folders
 
 METHODS = ("contact_me_scs", "contact_rand", "me_scs")
 
@@ -280,40 +278,9 @@ def test_the_command_prints_the_verdicts(campaign: Path) -> None:
     assert {row["method"] for row in table(campaign / "analysis/voxels.csv")} == {"contact_rand"}
 
 
-def test_a_campaign_is_analysed_alike_after_its_runs_were_pruned(campaign: Path) -> None:
-    before = analysed(campaign, methods=["contact_me_scs"])
-    content = {file.name: file.read_bytes() for file in before.out.iterdir()}
-    finished = [folder for folder in search_run_folders(campaign) if run_summary(folder).complete]
-    assert len(finished) == 4
-    for folder in finished:
-        prune_run(folder)
-    after = analysed(campaign, methods=["contact_me_scs"])
-    assert {file.name: file.read_bytes() for file in after.out.iterdir()} == content
-    assert after.without_curves == []
-
-
-def test_a_pruned_run_without_curves_is_left_out_and_that_is_said(campaign: Path) -> None:
-    rows = random_rows(100)
-    rows["outcome"][-1] = Outcome.HELD
-    simulated = int((rows["outcome"] > Outcome.OVERLAP).sum())
-    settings = {"method": "aimed", "evaluations": simulated, "overlaps": "redraw"}
-    prune_run(record(campaign / "runs" / "jaw-block-aimed-s0", made_scene(), rows, **settings))
-    done = CliRunner().invoke(app, ["analyse", str(campaign)])
-    assert done.exit_code == 0, done.output
-    said = "1 run is left out, of which only the successes were kept: jaw-block-aimed-s0."
-    assert said in done.output
-    assert said in (campaign / "analysis" / "tables.md").read_text()
-    assert "6 runs, 2 of them unfinished" in done.output
-    as_json = CliRunner().invoke(app, ["analyse", str(campaign), "--json"])
-    assert json.loads(as_json.output)["without_curves"] == ["jaw-block-aimed-s0"]
-    with pytest.raises(FolderError, match=r"Of every run in .* only the successes were kept"):
-        write_report(campaign / "runs" / "jaw-block-aimed-s0", campaign / "none")
-
-
 def test_a_copy_of_a_run_and_a_shorter_run_of_its_search_are_no_runs_of_their_own(campaign: Path) -> None:
     home, before = campaign / "runs", analysed(campaign)
     shutil.copytree(home / "jaw-block-contact_rand-s0", home / "another")
-    prune_run(RunFolder.open(home / "another"))
     rows = random_rows(50, seed=10 * METHODS.index("me_scs"))
     record(home / "shorter", made_scene(), rows, method="me_scs", seed=0, evaluations=50)
     after = analysed(campaign)

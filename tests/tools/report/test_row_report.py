@@ -13,13 +13,12 @@ from tests.coordinator.scenes import JAW, made_scene
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
+from qdgrasp_coordinator.metrics.arrays import reshape_rows
 from qdgrasp_coordinator.metrics.niches import synergies
 from qdgrasp_coordinator.search.fixed_poses import postures
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import PostureReader
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_tools.campaign.merge_prune import merge_runs
-from qdgrasp_tools.campaign.reduced_journal import reshape_rows
 from qdgrasp_tools.report.row_report import NoSuchRow, RowContextCache, row_context, row_report
 
 PRIORS = {"me_scs": "spherical", "contact_rand": "contact"}
@@ -50,17 +49,6 @@ def test_a_run_names_synergies_as_its_prior_does(tmp_path: Path) -> None:
     folder, rows = run_of_synergies(tmp_path / "mug")
     assert labels(folder) == synergies(CLOSING, "spherical").labels(rows["genome"]).tolist()
     assert len(set(labels(folder))) == 3
-
-
-def test_in_a_merged_journal_each_part_is_read_as_its_own_prior_does(tmp_path: Path) -> None:
-    runs = [run_of_synergies(tmp_path / name, name, seed) for seed, name in enumerate(PRIORS)]
-    merge_runs([folder for folder, _ in runs], tmp_path / "both")
-    merged = RunFolder.open(tmp_path / "both")
-    own = {name: labels(folder) for name, (folder, _) in zip(PRIORS, runs, strict=True)}
-    with merged.journal() as journal:
-        order = [source.asked.method for source in journal.sources]
-    assert set(order) == set(PRIORS)
-    assert labels(merged) == own[order[0]] + own[order[1]]
 
 
 @pytest.mark.parametrize("prior", ["contact", "approach", "given"])

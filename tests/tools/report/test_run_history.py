@@ -1,4 +1,3 @@
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +14,8 @@ from qdgrasp_coordinator.metrics.reference_coverage import (
     coverage,
 )
 from qdgrasp_coordinator.metrics.success_metrics import StepSeries, SuccessHistory, archive_growth
-from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import TRIALS, Outcome, Rows
-from qdgrasp_tools.campaign.merge_prune import prune_run
-from qdgrasp_tools.report.run_history import RunHistory, has_curves, read_history
+from qdgrasp_tools.report.run_history import RunHistory, read_history
 
 GRID = np.stack(np.meshgrid(*[np.arange(-4, 3)] * 3), axis=-1).reshape(-1, 3).astype(np.int64)
 KNOWN = ReferenceSet("block", GRID, (np.arange(len(GRID)) % 3).astype(np.uint8))
@@ -120,39 +117,3 @@ def test_nu_that_rounds_beyond_the_end_of_a_prior_is_still_within(tmp_path: Path
 def test_a_run_that_has_not_begun_has_found_nothing(tmp_path: Path) -> None:
     found = told(tmp_path, random_rows(0))
     assert (found.evaluations, found.complete, found.near_share, found.cells.end) == (0, False, None, 0)
-
-
-def flat(told: object) -> list[object]:
-    """All values of a history, one behind the other."""
-    if is_dataclass(told):
-        return [value for field in fields(told) for value in flat(getattr(told, field.name))]
-    return [told.tolist() if isinstance(told, np.ndarray) else told]
-
-
-@pytest.mark.parametrize("protocol", ["paper", "robust"])
-def test_a_pruned_run_whose_every_genome_counts_has_the_history_that_it_had(tmp_path, protocol) -> None:
-    nominal = random_rows(100, seed=4)
-    successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
-    repeated = np.repeat(successes, TRIALS)
-    repeated["trial"] = np.tile(np.arange(1, TRIALS + 1), len(successes))
-    rows = np.concatenate([nominal, repeated]) if protocol == "robust" else nominal
-    rows = rows[np.lexsort((rows["index"], rows["trial"] > 0, rows["generation"]))]
-    settings = {"protocol": protocol, "evaluations": 100, "overlaps": "count"}
-    folder = record(tmp_path / "run", made_scene(), rows, **settings)
-    before = read_history(folder, CoverageTarget(KNOWN, ARCHIVE))
-    assert before.successes > 20
-    prune_run(folder)
-    assert has_curves(folder)
-    assert flat(read_history(folder, CoverageTarget(KNOWN, ARCHIVE))) == flat(before)
-
-
-def test_a_pruned_run_whose_overlaps_do_not_count_has_no_curves(tmp_path: Path) -> None:
-    rows = random_rows(100)
-    rows["outcome"][-1] = Outcome.HELD
-    simulated = int((rows["outcome"] > Outcome.OVERLAP).sum())
-    folder = record(tmp_path / "run", made_scene(), rows, evaluations=simulated, overlaps="redraw")
-    assert has_curves(folder)
-    prune_run(folder)
-    assert not has_curves(folder)
-    with pytest.raises(FolderError, match="keeps the successes alone"):
-        read_history(folder, CoverageTarget(KNOWN, ARCHIVE))

@@ -11,7 +11,6 @@ from tests.tools.report.test_row_report import PRIOR, run_of
 from qdgrasp_assets.genes import layout
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, RowShape
-from qdgrasp_tools.campaign.merge_prune import merge_runs
 from qdgrasp_tools.report.row_report import NoSuchRow
 from qdgrasp_tools.verification.replay_client import NoPose, NoSuchTrial, replay_target
 
@@ -73,15 +72,3 @@ def test_a_row_without_a_pose_is_refused(folder: RunFolder, number: int, why: st
 def test_a_number_that_no_row_has_is_refused(folder: RunFolder) -> None:
     with pytest.raises(NoSuchRow):
         replay_target(folder, 4)
-
-
-def test_rows_of_merged_runs_stand_for_their_poses_too(tmp_path: Path) -> None:
-    scene = made_scene()
-    runs = [run_of(tmp_path / "short", scene, [Outcome.HELD]).folder]
-    rows = RowShape(len(layout(scene, "contact")), 2).empty(2)
-    rows["index"], rows["outcome"], rows["base_to_object"] = (0, 1), Outcome.HELD, (0.1, 0, 0, 0, 0, 0, 1)
-    runs.append(record(tmp_path / "long", scene, rows, method="contact_rand"))
-    merge_runs(runs, tmp_path / "both")
-    for number in range(3):
-        found = replay_target(RunFolder.open(tmp_path / "both"), number)
-        assert np.array(found.genome, np.float32).tobytes() == found.row["base_to_object"].tobytes()

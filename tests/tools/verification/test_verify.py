@@ -8,6 +8,7 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 
+from qdgrasp_coordinator.metrics.arrays import reshape_rows
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue
 from qdgrasp_coordinator.storage.engine_table import read_table
@@ -17,8 +18,6 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_tools.campaign.merge_prune import merge_runs
-from qdgrasp_tools.campaign.reduced_journal import reshape_rows
 from qdgrasp_tools.local.supervisor import LocalJobConfig
 from qdgrasp_tools.verification import verify
 from qdgrasp_tools.verification.comparison import (
@@ -159,13 +158,6 @@ def test_nothing_to_choose_from_is_refused(tmp_path: Path) -> None:
     empty = record(tmp_path / "empty", made_scene(), random_rows(0))
     with pytest.raises(InputError, match="Nothing is recorded there"):
         choose_rows([empty], None, 0)
-
-
-def test_rows_of_a_merged_folder_belong_to_the_runs_that_found_them(folders, tmp_path) -> None:
-    merge_runs(folders, tmp_path / "both")
-    lots = choose_rows([RunFolder.open(tmp_path / "both")], None, 0)
-    assert [lot.found_by.run for lot in lots] == ["s0", "s1"]
-    assert [lot.found_by.spec.seed for lot in lots] == [0, 1]
 
 
 def test_many_rows_are_several_lots(tmp_path: Path) -> None:
