@@ -17,7 +17,6 @@ MAKERS: dict[str, Callable[[], str]] = {
     "metrics.txt": formats.metric_text,
     "journal.sql": formats.journal_text,
     "versions.txt": formats.version_text,
-    "help.txt": interfaces.help_text,
     "names.txt": interfaces.name_text,
     "exit_codes.txt": interfaces.exit_code_text,
     "exported.csv": partial(runs.exported, "csv"),

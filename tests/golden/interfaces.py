@@ -1,4 +1,4 @@
-"""Golden texts of the help of commands, exit codes, and the names of the package."""
+"""Golden texts of exit codes, and the names of the package."""
 
 import enum
 import inspect
@@ -10,13 +10,9 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import typer
-from tests.deploy.commands import COMMANDS
-
 import qdgrasp
 from qdgrasp_protocol.errors import Cancelled, EndedEarly, InputError, QdgraspError, TookOver
 
-COLUMNS = 100
 FAMILY = {
     "anything that we refuse or that fails": QdgraspError,
     "bad input or environment": InputError,
@@ -38,12 +34,6 @@ LINES = (
 """Command lines that end at once."""
 
 
-def help_text() -> str:
-    """The help of every command and its subcommands, on a screen of `COLUMNS` columns."""
-    pages = (page for name, app in COMMANDS.items() for page in _pages(typer.main.get_command(app), name))
-    return "\n\n".join(pages) + "\n"
-
-
 def exit_code_text() -> str:
     """The exit codes of `FAMILY`, and codes and standard error of the command lines `LINES`."""
     codes = "".join(f"{error.exit_code}  {words}\n" for words, error in FAMILY.items())
@@ -58,14 +48,6 @@ def name_text() -> str:
     """
     lines = (line for name in dir(qdgrasp) if name != "__version__" for line in _told(name))
     return "\n".join(lines) + "\n"
-
-
-def _pages(command: Any, name: str, parent: Any = None) -> Iterator[str]:
-    size = {"terminal_width": COLUMNS, "max_content_width": COLUMNS}
-    context = command.context_class(command, info_name=name, parent=parent, **size)
-    yield f"$ {context.command_path} --help\n{command.get_help(context)}"
-    for below, subcommand in sorted(getattr(command, "commands", {}).items()):
-        yield from _pages(subcommand, below, context)
 
 
 def _ended(line: str) -> str:
