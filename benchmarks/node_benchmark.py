@@ -26,11 +26,12 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.process import ProcessGroup, Stop
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.supervisor import ProcessSupervisor
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.local.progress import ProgressDisplay
-from qdgrasp_tools.local.restart_policy import RestartPolicy, start_worker
+from qdgrasp_tools.local.restart_policy import JobRestarts, start_worker
 
 BENCH_JOB = "bench"
 ENDLESS = 10**9
@@ -85,14 +86,16 @@ class SceneBenchmark:
         )
         self._sink = PlatformSink(self._plan.shape)
 
-    def run(self, bus: Bus, endpoint: str, processes: ProcessGroup, stop: Stop) -> SceneMeasurement | None:
+    def run(
+        self, bus: Bus, endpoint: str, processes: ProcessSupervisor, stop: Stop
+    ) -> SceneMeasurement | None:
         """Measure on a bus whose router listens on `endpoint`; None where it was asked to stop.
 
         Raises InputError if a worker cannot work here; the reason is its own.
         """
         over = Stop()  # of this job alone
         stop.tell(lambda: over.set(0))
-        restarts, steps = RestartPolicy(processes, self._display), self._steps(processes, endpoint)
+        restarts, steps = JobRestarts(processes, self._display), self._steps(processes, endpoint)
 
         def step(now: float) -> None:
             restarts.note_progress(service.status(now))
@@ -118,7 +121,7 @@ class SceneBenchmark:
         )
         return SceneMeasurement(figures, self._sink.platform)
 
-    def _steps(self, processes: ProcessGroup, endpoint: str) -> Iterator[None]:
+    def _steps(self, processes: ProcessSupervisor, endpoint: str) -> Iterator[None]:
         """Carry out the measurement step by step; yield where there is something to wait for."""
         began = time.monotonic()
         self._start_workers(processes, endpoint, 1)
@@ -132,9 +135,9 @@ class SceneBenchmark:
                 yield from self._measure(regime, workers)
         self._memory = max(map(peak_memory, processes.pids().values()), default=0)
 
-    def _start_workers(self, processes: ProcessGroup, endpoint: str, workers: int) -> None:
+    def _start_workers(self, processes: ProcessSupervisor, endpoint: str, workers: int) -> None:
         for number in range(self._started, workers):
-            start_worker(processes, number, ["--connect", endpoint, "--job", BENCH_JOB])
+            start_worker(processes, number, lambda: ["--connect", endpoint, "--job", BENCH_JOB])
         self._started = workers
 
     def _measure(self, regime: PoseRegime, workers: int) -> Iterator[None]:

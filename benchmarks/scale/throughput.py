@@ -40,9 +40,10 @@ from qdgrasp_coordinator.scheduler.run_plan import (
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.search.registry import method
-from qdgrasp_protocol.process import ProcessGroup, Stop
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Genomes, Rows
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.supervisor import ProcessSupervisor
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import LineProgress
 
@@ -318,6 +319,6 @@ def _pair(seconds: float) -> dict[str, float]:
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
         bus, endpoint = ZenohBus.embedded(None)
         stack.enter_context(bus)
-        found = benchmark.run(bus, endpoint, stack.enter_context(ProcessGroup(logs)), Stop())
+        found = benchmark.run(bus, endpoint, stack.enter_context(ProcessSupervisor(logs)), Stop())
     assert found is not None
     return found.figures.scaling

@@ -1,26 +1,20 @@
-"""Processes: their end, their logs, and groups of them that a command starts and watches.
+"""A process of this package: its end, and its log. Those that it starts are in `supervisor`.
 
 A process lives until its work is done, a signal comes, or its parent process is gone. A service waits on an
 inbox; stopping puts one more event into it. So no loop polls for signals, and a process ends within the time
 that its present piece of work takes.
 
 Logs are sentences with fields on standard error; a person reads the sentence, a machine the fields.
-
-A process group is a context manager: leaving it ends every process that is still there, by pid. Should the
-command itself be killed, each member sees its standard input end and stops by itself (`lifetime`).
 """
 
 import logging
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from traceback import TracebackException
 from types import FrameType
 from typing import TextIO, cast
@@ -29,11 +23,12 @@ import structlog
 from setproctitle import setproctitle
 from structlog.typing import EventDict, ExcInfo
 
-from qdgrasp_protocol.session import SECURITY_VARIABLE
 from qdgrasp_protocol.text import printable, printable_lines
 
 SUPERVISED = "QDGRASP_SUPERVISED"
 """Set for a process that ends when its standard input is closed by its parent process."""
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+"""Environment that limits each process to one thread."""
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SIGNAL_REPEAT_INTERVAL = 0.1  # seconds in which the main thread hears a signal, as a rule
 ORPHAN_GRACE = 3.0  # seconds that an orphan may take to end by itself
@@ -169,200 +164,3 @@ def configure_logging(role: str, *, level: int = logging.INFO) -> None:
     structlog.contextvars.bind_contextvars(role=role)
     if logging.lastResort is not None:  # it prints what no handler takes
         logging.lastResort.setFormatter(LogFormatter())
-
-
-GRACE = 2.0  # seconds that a process may take to stop before it is killed
-GRACE_MARGIN = 0.5
-"""A member is told to stop within the grace less this margin [s], so that it ends before it is killed."""
-BACK_OFF_FIRST, BACK_OFF_LAST = 0.5, 10.0  # seconds before a dead member is started again
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment that limits each process to one thread."""
-STEADY_SECONDS = 5.0  # seconds of life after which the next death starts from the first back-off again
-
-
-@dataclass
-class GroupMember:
-    """One process of a group."""
-
-    name: str
-    arguments: list[str]
-    log: Path | None
-    """Log file; None: this process's standard error."""
-    core: int | None
-    """Core that it is pinned to; None: any."""
-    process: subprocess.Popen[bytes] = field(init=False)
-    started: float = field(init=False)
-    log_start: int = field(init=False)
-    """Byte of the log at which this process began to write."""
-    restarts: int = 0
-    restart_at: float | None = None
-
-    def start(self, now: float) -> None:
-        """Start its process, for the first time or again."""
-        self.log_start = self.log.stat().st_size if self.log is not None and self.log.exists() else 0
-        self.process, self.started = _start(self.arguments, self.log, self.core), now
-        self.restart_at = None
-
-
-@dataclass(frozen=True)
-class ProcessExit:
-    """A member of the group ended."""
-
-    name: str
-    exit_code: int
-    """Exit code; negative: the signal that killed it."""
-
-    @property
-    def description(self) -> str:
-        """Description of the end for a person."""
-        if self.exit_code < 0:
-            return f"was killed by {signal.Signals(-self.exit_code).name}"
-        return f"ended with exit code {self.exit_code}"
-
-
-def back_off(restarts: int) -> float:
-    """Return the seconds before the next start after `restarts` restarts in a row."""
-    return float(min(BACK_OFF_FIRST * 2**restarts, BACK_OFF_LAST))
-
-
-class ProcessGroup:
-    """Processes by name, each with a log file in `logs`; without a folder they use our output.
-
-    `grace` is the seconds that they may take to stop.
-    """
-
-    def __init__(self, logs: Path | None, grace: float = GRACE) -> None:
-        self._logs = logs
-        self._grace = grace
-        self._leave_by: float | None = None
-        self._members: dict[str, GroupMember] = {}
-
-    @property
-    def members_grace(self) -> float:
-        """Most seconds that a process may be given to stop."""
-        return max(0.0, self._grace - GRACE_MARGIN)
-
-    def start(self, name: str, module: str, arguments: Iterable[str], core: int | None = None) -> None:
-        """Start `python -m module arguments` as the process `name`, on one core or on any."""
-        command = [sys.executable, "-m", module, *arguments]
-        if self._logs is not None:
-            self._logs.mkdir(parents=True, exist_ok=True)
-        log = None if self._logs is None else self._logs / f"{name}.log"
-        member = GroupMember(name, command, log, core)
-        member.start(time.monotonic())
-        self._members[name] = member
-
-    def exits(self) -> list[ProcessExit]:
-        """Return the processes that ended since the last call and are not yet to be restarted."""
-        found = []
-        for member in self._members.values():
-            code = member.process.poll()
-            if code is not None and member.restart_at is None:
-                member.restart_at = float("inf")
-                found.append(ProcessExit(member.name, code))
-        return found
-
-    def restart_later(self, name: str, now: float) -> float:
-        """Schedule a restart after the back-off; returns the seconds until then."""
-        member = self._members[name]
-        if now - member.started > STEADY_SECONDS:
-            member.restarts = 0
-        pause = back_off(member.restarts)
-        member.restarts += 1
-        member.restart_at = now + pause
-        return pause
-
-    def restart_due(self, now: float) -> None:
-        """Restart the processes whose back-off is over."""
-        for member in self._members.values():
-            if member.restart_at is not None and member.restart_at <= now:
-                member.start(now)
-
-    def restart_with(self, flag: str, value: str) -> None:
-        """Start members with this flag again, with another value; those that left stay away."""
-        told = [member for member in self._members.values() if flag in member.arguments]
-        running = [member for member in told if member.process.poll() is None]
-        for member in told:
-            member.arguments[member.arguments.index(flag) + 1] = value
-        for member in running:
-            member.process.terminate()
-        leave_by = time.monotonic() + self._grace
-        for member in running:
-            _end_by(member.process, leave_by)
-            member.start(time.monotonic())
-
-    def last_error(self, name: str) -> str:
-        """Return the error sentence with which a process ended; empty where it ended without one."""
-        member = self._members[name]
-        if member.log is None:
-            return ""
-        try:
-            said = member.log.read_bytes()[member.log_start :].decode(errors="replace")
-        except OSError:
-            return ""
-        lines = [line for line in said.splitlines() if line.startswith("qdgrasp-") and ": " in line]
-        return lines[-1].partition(": ")[2] if lines else ""
-
-    def process(self, name: str) -> subprocess.Popen[bytes]:
-        """Return the process of this name."""
-        return self._members[name].process
-
-    def pids(self) -> dict[str, int]:
-        """Return the ids of the running processes by name."""
-        return {name: process.pid for name, process in self._running().items()}
-
-    def _running(self) -> dict[str, subprocess.Popen[bytes]]:
-        return {m.name: m.process for m in self._members.values() if m.process.poll() is None}
-
-    def request_stop(self, number: int = signal.SIGTERM) -> None:
-        """Send every process a signal to stop; the grace begins."""
-        self._leave_by = time.monotonic() + self._grace
-        for process in self._running().values():
-            process.send_signal(number)
-
-    def stop(self, number: int = signal.SIGTERM) -> None:
-        """End every process by a signal, then, after the grace, by SIGKILL."""
-        if self._leave_by is None:
-            self.request_stop(number)
-        for process in self._running().values():
-            _end_by(process, self._leave_by or 0.0)
-        for member in self._members.values():
-            if member.process.stdin is not None:
-                member.process.stdin.close()
-
-    def __enter__(self) -> "ProcessGroup":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
-
-
-def _end_by(process: subprocess.Popen[bytes], time_limit: float) -> None:
-    """Wait for the end of a process until a time, then kill it."""
-    try:
-        process.wait(max(0.0, time_limit - time.monotonic()))
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:
-    """Start a process that ends with this one; its own session keeps Ctrl-C from it."""
-    environment = {**os.environ, **ONE_THREAD, SUPERVISED: "1"}
-    environment.pop(SECURITY_VARIABLE, None)  # children are given the certificate folder by an option
-    with nullcontext() if log is None else log.open("ab") as file, _pinned_to(core):
-        return subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=file, stderr=file, start_new_session=True, env=environment
-        )
-
-
-@contextmanager
-def _pinned_to(core: int | None) -> Iterator[None]:
-    """Pin this process to a core while it starts a child, which inherits that."""
-    cores = os.sched_getaffinity(0)
-    if core is not None:
-        os.sched_setaffinity(0, {core})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)

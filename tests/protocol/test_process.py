@@ -12,11 +12,9 @@ import pytest
 from setproctitle import getproctitle, setproctitle
 from tests.common import PATIENCE
 
-from qdgrasp_protocol.process import BACK_OFF_LAST, SUPERVISED, ProcessExit, ProcessGroup, back_off, lifetime
-from qdgrasp_protocol.session import SECURITY_VARIABLE
+from qdgrasp_protocol.process import SUPERVISED, lifetime
 
 OPEN = Path("/proc/self/fd")
-SLEEP = "import time; time.sleep(600)"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -85,68 +83,6 @@ def test_what_others_wrote_is_escaped_in_sentences_fields_and_tracebacks() -> No
     assert any(line.startswith("Traceback") for line in lines)
 
 
-@pytest.fixture
-def processes(tmp_path):
-    with ProcessGroup(tmp_path / "logs") as processes:
-        yield processes
-
-
-def start(processes: ProcessGroup, code: str, name: str = "started") -> subprocess.Popen[bytes]:
-    """Start a process that executes some code."""
-    processes.start(name, "timeit", ["-n1", "-r1", code])
-    return processes.process(name)
-
-
-def test_a_death_is_told_once_with_its_exit_code(processes):
-    start(processes, "import os; os._exit(3)", "sleeper").wait(PATIENCE)
-    assert processes.exits() == [ProcessExit("sleeper", 3)]
-    assert processes.exits() == []
-
-
-def test_a_killed_member_is_started_again_when_its_back_off_is_over(processes):
-    sleeper = start(processes, SLEEP, "sleeper")
-    sleeper.kill()
-    sleeper.wait(PATIENCE)
-    (death,) = processes.exits()
-    assert death.description == "was killed by SIGKILL"
-    pause = processes.restart_later("sleeper", now=100.0)
-    processes.restart_due(100.0 + pause - 0.01)
-    assert processes.pids() == {}
-    processes.restart_due(100.0 + pause)
-    assert set(processes.pids()) == {"sleeper"}
-
-
-def test_a_member_takes_no_certificates_but_those_that_it_is_told_of(processes, monkeypatch):
-    monkeypatch.setenv(SECURITY_VARIABLE, "security")
-    asked = start(processes, f"import os; os._exit(5 if {SECURITY_VARIABLE!r} in os.environ else 4)")
-    assert asked.wait(PATIENCE) == 4
-
-
-def test_back_off_grows_to_a_limit():
-    pauses = [back_off(n) for n in range(12)]
-    assert pauses == sorted(pauses)
-    assert pauses[-1] == BACK_OFF_LAST
-
-
-def test_leaving_ends_everybody_by_force_if_need_be(tmp_path):
-    stubborn = "import signal, time; signal.signal(15, signal.SIG_IGN); print(1, flush=True); time.sleep(600)"
-    with ProcessGroup(tmp_path) as processes:
-        process = start(processes, stubborn)
-    assert process.poll() is not None
-
-
-def test_the_last_words_of_a_member_are_the_sentence_it_ended_with(processes, tmp_path):
-    mark = str(tmp_path / "mark")
-    said = r"os.write(1, b'qdgrasp-x: a: b\nqdgrasp-x: at: last\n12:00 [x]\n')"
-    talk = f"import os; os.path.exists({mark!r}) or {said}; open({mark!r}, 'w'); os._exit(2)"
-    start(processes, talk, "talker").wait(PATIENCE)
-    assert processes.last_error("talker") == "at: last"
-    assert len(processes.exits()) == 1
-    processes.restart_due(processes.restart_later("talker", now=0.0))
-    assert processes.process("talker").wait(PATIENCE) == 2
-    assert processes.last_error("talker") == ""  # of the second process, which says nothing
-
-
 ORPHAN = """
 from qdgrasp_protocol.process import lifetime
 from queue import SimpleQueue
@@ -170,11 +106,3 @@ def test_a_supervised_process_ends_when_its_starter_is_gone():
     process.stdin.close()
     assert process.wait(PATIENCE) == 128 + signal.SIGTERM
     process.stdout.close()
-
-
-def test_who_is_bidden_to_leave_has_the_grace_from_then_on(tmp_path):
-    with ProcessGroup(tmp_path, grace=600) as processes:
-        polite = start(processes, SLEEP)
-        processes.request_stop()
-        polite.wait(PATIENCE)
-    assert polite.returncode == -signal.SIGTERM

@@ -112,8 +112,9 @@ def worker(
         if workers > 1:
             from qdgrasp_worker.runtime.worker_pool import WorkerPool, worker_arguments
 
-            WorkerPool(workers, worker_arguments(context), grace=grace, wait=wait, is_pinned=pin).run(stop)
-            raise typer.Exit(stop.exit_code)
+            pool = WorkerPool(workers, worker_arguments(context), grace=grace, is_pinned=pin)
+            pool.run(stop)
+            raise typer.Exit(stop.exit_code or pool.exit_code)
         from qdgrasp_worker.runtime.simulator_supervisor import SimulatorSupervisor, simulator_command
 
         credentials = Credentials.find(security, Role.WORKER)

@@ -15,12 +15,13 @@ from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue, SingleRunQ
 from qdgrasp_coordinator.search.fixed_poses import HandPoses
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.bus import Bus
-from qdgrasp_protocol.process import ProcessGroup, Stop
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Rows
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.supervisor import ProcessSupervisor
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import ProgressDisplay
-from qdgrasp_tools.local.restart_policy import GRACE, RestartPolicy, start_worker
+from qdgrasp_tools.local.restart_policy import GRACE, JobRestarts, start_worker
 from qdgrasp_tools.local.supervisor import LocalJobConfig
 
 
@@ -35,9 +36,9 @@ class LocalSession:
     """Address that processes connect to."""
     credential_flags: Sequence[str]
     """Flags of all processes; empty: links are not encrypted."""
-    processes: ProcessGroup
+    processes: ProcessSupervisor
     display: ProgressDisplay
-    restarts: RestartPolicy
+    restarts: JobRestarts
 
     def start_recorder(self, out: Path) -> None:
         """Start a recorder that writes to the folder of a job."""
@@ -47,7 +48,7 @@ class LocalSession:
     def start_workers(self, count: int) -> None:
         """Start so many workers."""
         for number in range(count):
-            start_worker(self.processes, number, self._connection_flags)
+            start_worker(self.processes, number, lambda: self._connection_flags)
 
     def coordinate(
         self,
@@ -100,8 +101,8 @@ def open_session(
 
     Each process has a log in the folder `logs`; `bus` is opened here.
     """
-    with bus, ProcessGroup(logs, GRACE) as processes:
-        restarts = RestartPolicy(processes, display)
+    with bus, ProcessSupervisor(logs, GRACE) as processes:
+        restarts = JobRestarts(processes, display)
         yield LocalSession(job, bus, endpoint, credential_flags, processes, display, restarts)
 
 

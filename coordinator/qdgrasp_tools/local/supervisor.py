@@ -22,12 +22,13 @@ from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE, check_engin
 from qdgrasp_protocol.errors import EndpointError, InputError, MessageError
 from qdgrasp_protocol.extras import EXTRAS, check_packages
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.process import ProcessGroup, Stop
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.supervisor import ProcessSupervisor
 from qdgrasp_protocol.zenoh_bus import ZenohBus, free_ports
 from qdgrasp_tools.local.progress import ProgressDisplay
-from qdgrasp_tools.local.restart_policy import COORDINATOR, GRACE, RestartPolicy, start_worker
+from qdgrasp_tools.local.restart_policy import COORDINATOR, GRACE, JobRestarts, start_worker
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
 SESSION_SECONDS = 10.0  # seconds that a coordinator which listens may take to open a session
@@ -146,6 +147,7 @@ class Supervisor:
         self._session = FiguresSession(folder.name, credentials, self._news)
         self._listen = config.listen
         self._endpoint: str | None = None  # Where the members are told that the coordinator listens
+        self._near = ""  # The same, for processes of this machine
         self._turn = 0  # Counts the starts of the coordinator
         self._session_turn = 0  # In which the session was opened
         self._has_failed = False  # The session could not be opened, and is to be opened again
@@ -162,21 +164,20 @@ class Supervisor:
         with ExitStack() as stack:
             stack.enter_context(self._folder.supervise())
             stack.callback(self._folder.forget_endpoint)
-            processes = stack.enter_context(ProcessGroup(self._folder.logs, GRACE))
+            processes = stack.enter_context(ProcessSupervisor(self._folder.logs, GRACE))
             stack.callback(self._session.close)
             stack.callback(processes.request_stop)  # while the session is being closed
-            restarts = RestartPolicy(
-                processes, self._display, lambda: self._start_coordinator(processes), self._change_port
-            )
-            self._start_coordinator(processes)
+            restarts = JobRestarts(processes, self._display, self._change_port)
+            processes.start(COORDINATOR, "qdgrasp_tools.cli.coordinator_process", self._next_coordinator)
             while not (self._stop.is_set or restarts.is_done):
                 self._folder.check_there()
                 restarts.check(time.monotonic())
                 self._follow_endpoint(processes)
                 with suppress(Empty):
-                    self._take(self._news.get(timeout=LOOK_INTERVAL), restarts)
+                    self._take(self._news.get(timeout=LOOK_INTERVAL), processes, restarts)
 
-    def _start_coordinator(self, processes: ProcessGroup) -> None:
+    def _next_coordinator(self) -> list[str]:
+        """Forget where the last coordinator listened; return the arguments of the next."""
         self._turn += 1
         self._folder.forget_endpoint()
         arguments = [str(self._folder.path), *self._listen.flags, *self._listen.security_flags]
@@ -189,7 +190,7 @@ class Supervisor:
             arguments += ["--seconds", str(max(0.0, left))]
         if self._is_paused:
             arguments.append("--paused")
-        processes.start(COORDINATOR, "qdgrasp_tools.cli.coordinator_process", arguments)
+        return arguments
 
     def _change_port(self) -> bool:
         """Choose free ports in place of those that another program took meanwhile.
@@ -201,7 +202,7 @@ class Supervisor:
         self._listen = replace(self._listen, endpoint=free_ports(self._endpoint))
         return True
 
-    def _follow_endpoint(self, processes: ProcessGroup) -> None:
+    def _follow_endpoint(self, processes: ProcessSupervisor) -> None:
         """Start the members when the coordinator listens, and again when it does so elsewhere."""
         endpoint = self._folder.endpoint
         if endpoint is None or (endpoint == self._endpoint and not self._has_failed):
@@ -210,13 +211,15 @@ class Supervisor:
         if self._endpoint is None:
             self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
             self._say_commands(endpoint)
-            self._start_members(processes, near)
+            self._near = near
+            self._start_members(processes)
         elif endpoint != self._endpoint:
             self._display.say(
                 f"listening on {endpoint} now, as another program took the port; recorder and workers of "
                 "this machine are started again, workers elsewhere have to be"
             )
-            processes.restart_with("--connect", near)
+            self._near = near
+            processes.restart_others(COORDINATOR)
         self._endpoint, self._session_turn, self._has_failed = endpoint, self._turn, False
         self._listen = replace(self._listen, endpoint=endpoint)  # where a later coordinator is found too
         self._session.open(near)
@@ -229,15 +232,19 @@ class Supervisor:
         join = f"qdgrasp-worker --connect {reached} --job {self._folder.name} {flags}".rstrip()
         self._display.say(f"watch it by `{watch}`, add workers by `{join}`")
 
-    def _start_members(self, processes: ProcessGroup, near: str) -> None:
-        """Start the recorder and the workers, which connect to the endpoint `near`."""
-        flags = ["--connect", near, "--job", self._folder.name, *self._listen.security_flags]
+    def _start_members(self, processes: ProcessSupervisor) -> None:
+        """Start the recorder and the workers, which connect to the endpoint of that time."""
         recorder = ["--out", str(self._folder.path), "--disk-wait", str(self._config.disk_wait)]
-        processes.start("recorder", "qdgrasp_tools.cli.recorder_process", [*flags, *recorder])
+        module = "qdgrasp_tools.cli.recorder_process"
+        processes.start("recorder", module, lambda: [*self._connection_flags, *recorder])
         for number in range(self._config.workers):
-            start_worker(processes, number, flags)
+            start_worker(processes, number, lambda: self._connection_flags)
 
-    def _take(self, news: News, restarts: RestartPolicy) -> None:
+    @property
+    def _connection_flags(self) -> list[str]:
+        return ["--connect", self._near, "--job", self._folder.name, *self._listen.security_flags]
+
+    def _take(self, news: News, processes: ProcessSupervisor, restarts: JobRestarts) -> None:
         """Show figures; raise the error of a session at a coordinator that is there all the time."""
         if isinstance(news, Sample):
             with suppress(MessageError):
@@ -247,6 +254,6 @@ class Supervisor:
                 self._display.show(figures)
         elif isinstance(news, EndpointError):
             restarts.check(time.monotonic())  # the coordinator's end says more
-            if self._turn == self._session_turn and not restarts.awaits_coordinator:
+            if self._turn == self._session_turn and not processes.is_dead(COORDINATOR):
                 raise news
             self._has_failed = True

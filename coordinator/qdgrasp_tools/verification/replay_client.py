@@ -25,7 +25,7 @@ from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenance
 from qdgrasp_protocol.errors import FolderError, InputError, QdgraspError
-from qdgrasp_protocol.process import ProcessExit, ProcessGroup, Stop
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.replay_messages import (
     ANSWER,
     FRAMES,
@@ -36,6 +36,7 @@ from qdgrasp_protocol.replay_messages import (
     ReplayRequest,
 )
 from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.supervisor import ProcessExit, ProcessSupervisor
 from qdgrasp_tools.local.restart_policy import GRACE
 from qdgrasp_tools.report.row_report import row_at
 
@@ -194,8 +195,8 @@ class ReplayedEvaluation:
 class ReplayFailed(QdgraspError):
     """The process that replays ended without an answer."""
 
-    def __init__(self, death: ProcessExit, words: str) -> None:
-        super().__init__(f"The process that replays {death.description}. {words}".strip())
+    def __init__(self, death: ProcessExit) -> None:
+        super().__init__(f"The process that replays {death.description}. {death.words}".strip())
 
 
 @contextmanager
@@ -226,14 +227,13 @@ def local_platform() -> dict[str, str]:
 
 
 def _run_process(folder: Path, stop: Stop) -> None:
-    with ProcessGroup(folder, GRACE) as processes:
+    with ProcessSupervisor(folder, GRACE) as processes:
         processes.start("replay", REPLAY_MODULE, [str(folder)])
         while not (stop.is_set or (ended := processes.exits())):
             with suppress(subprocess.TimeoutExpired):
                 processes.process("replay").wait(POLL_INTERVAL)
         for death in () if stop.is_set else ended:
-            words = processes.last_error(death.name)
             if death.exit_code == InputError.exit_code:
-                raise InputError(words)
+                raise InputError(death.words)
             if death.exit_code:
-                raise ReplayFailed(death, words)
+                raise ReplayFailed(death)

@@ -10,8 +10,9 @@ import pytest
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.errors import EndpointError, InputError
-from qdgrasp_protocol.process import ProcessExit, Stop
-from qdgrasp_tools.local import restart_policy, supervisor
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.supervisor import ProcessExit, ProcessSupervisor
+from qdgrasp_tools.local import supervisor
 from qdgrasp_tools.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
 
 CHOSEN = "tcp/127.0.0.1:50123"
@@ -22,15 +23,15 @@ KILLED, DONE = (-9, ""), (0, "")
 TAKEN = (2, "Cannot listen on tcp/127.0.0.1:1: address already in use; name another endpoint with --listen.")
 
 
-class Staff:
+class Staff(ProcessSupervisor):
     """Processes by name; each coordinator ends as `ends` says, the first when the others are there."""
 
-    members_grace = 0.25
-
     def __init__(self, folder: JobFolder, *ends: tuple[int, str]) -> None:
+        super().__init__(None, 0.75)
         self._folder = folder
         self._ends = ends
         self._ended = 0
+        self._arguments: dict[str, Callable[[], list[str]]] = {}
         self.coordinators: list[list[str]] = []
         self.others: list[list[str]] = []
         self.moved: list[str] = []
@@ -38,38 +39,34 @@ class Staff:
     def __call__(self, *_: object) -> "Staff":
         return self
 
-    def __enter__(self) -> "Staff":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    def start(self, name: str, _module: str, arguments: list[str]) -> None:
+    def start(self, name: str, _module: str, arguments: Callable[[], list[str]]) -> None:  # type: ignore[override]
+        self._arguments[name] = arguments
         if name != "coordinator":
-            self.others.append(arguments)
+            self.others.append(list(arguments()))
             return
-        self.coordinators.append(arguments)
+        self.coordinators.append(arguments())
         if self._ends[self._ended] != TAKEN:
-            self._folder.write_endpoint(after("--listen", arguments) or CHOSEN)
+            self._folder.write_endpoint(after("--listen", self.coordinators[-1]) or CHOSEN)
 
-    def restart_with(self, flag: str, value: str) -> None:
-        self.moved += [flag, value]
+    def restart_others(self, _name: str) -> None:
+        self.moved += [after("--connect", list(self._arguments["recorder"]())) or ""]
 
     def exits(self) -> list[ProcessExit]:
         is_first = not self.others and self._ends[0] != TAKEN
         if is_first or self._ended == len(self.coordinators):
             return []
         self._ended += 1
-        return [ProcessExit("coordinator", self._ends[self._ended - 1][0])]
+        return [ProcessExit("coordinator", *self._ends[self._ended - 1])]
 
-    def last_error(self, _name: str) -> str:
-        return self._ends[self._ended - 1][1]
+    def is_dead(self, name: str) -> bool:
+        return name == "coordinator" and self._ended == len(self.coordinators)
+
+    def restart_later(self, death: ProcessExit, now: float) -> float:
+        return 0.0
 
     def restart_due(self, now: float) -> None:
-        pass
-
-    def request_stop(self) -> None:
-        pass
+        if self.is_dead("coordinator") and self._ended < len(self._ends):
+            self.start("coordinator", "", self._arguments["coordinator"])
 
 
 class Silence:
@@ -132,8 +129,7 @@ def carries_out(
     """Carry out a job whose coordinators end so."""
     folder = JobFolder.create(home / "job", "mugs")
     staff = Staff(folder, *ends)
-    monkeypatch.setattr(supervisor, "ProcessGroup", staff)
-    monkeypatch.setattr(restart_policy, "back_off", lambda _: 0.0)
+    monkeypatch.setattr(supervisor, "ProcessSupervisor", staff)
     monkeypatch.setattr(supervisor, "FiguresSession", Session(opened))
     config = LocalJobConfig(1, listen=ListenConfig(listen))
     Supervisor(folder, config, display or Silence(), Stop()).run()
@@ -162,7 +158,7 @@ def test_a_job_whose_port_was_taken_meanwhile_goes_on_at_another_one(tmp_path, m
     assert (first, second) == (asked, asked)
     assert third != asked
     assert re.fullmatch(r"tcp/127\.0\.0\.1:[1-9]\d+", third or "")
-    assert staff.moved == ["--connect", third]
+    assert staff.moved == [third]
     assert opened == [asked, third]
     assert any(f"listening on {third} now, as another program took the port" in line for line in said)
 

@@ -1,15 +1,16 @@
 """Workers of one command: their arguments, restarts and end."""
 
 import signal
-from unittest.mock import Mock, call
 
+import pytest
 import typer.main
 from typer.testing import CliRunner
 
-from qdgrasp_protocol.process import ProcessExit, ProcessGroup, Stop
+from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.supervisor import DiesAgain, ProcessExit, ProcessSupervisor, RestartPolicy
 from qdgrasp_worker.cli import app
 from qdgrasp_worker.runtime import worker_pool as teams
-from qdgrasp_worker.runtime.worker_pool import POOL_OPTIONS, StartupCheck, WorkerPool, worker_arguments
+from qdgrasp_worker.runtime.worker_pool import POOL_OPTIONS, WorkerPool, worker_arguments
 
 
 def parsed(given: list[str]) -> typer.Context:
@@ -31,35 +32,31 @@ def test_worlds_without_a_device_are_refused():
     assert "--worlds goes with a device: name it with --device" in str(refusal)
 
 
-def hopeless(*deaths: tuple[str, int, float]) -> list[bool]:
-    """Return for each death, at its time, whether it ends a pool of two that starts within 90 s."""
-    beginning = StartupCheck(2, until=90.0)
-    return [beginning.is_hopeless(ProcessExit(name, code), now) for name, code, now in deaths]
+class Restarts(ProcessSupervisor):
+    """Workers that exist by name only: restarts are counted, nothing is started."""
+
+    def __init__(self) -> None:
+        self.policy = RestartPolicy()
+
+    def restart_later(self, death: ProcessExit, now: float) -> float:
+        pause = self.policy.on_death(now, is_from_outside=False)
+        if pause is None:
+            raise DiesAgain(death, self.policy.deaths)
+        return pause
 
 
-def test_a_team_ends_when_bad_input_ended_the_first_process_of_each_worker():
-    assert hopeless(("a", 2, 1.0), ("a", 2, 2.0), ("b", 2, 3.0)) == [False, False, True]
-
-
-def test_one_worker_that_finds_no_router_does_not_end_those_that_serve():
-    assert not any(hopeless(*(("a", 2, float(time)) for time in range(1000))))
-
-
-def test_workers_that_served_are_started_again_however_often_they_find_no_router():
-    killed = [(name, -signal.SIGKILL, 5.0) for name in "ab"]
-    assert not any(hopeless(*killed, *((name, 2, 50.0) for name in "ab")))
-
-
-def test_a_worker_that_leaves_long_after_its_beginning_does_not_end_one_that_began_late():
-    assert not any(hopeless(("a", 2, 1.0), ("b", 2, 5000.0)))
-
-
-def test_a_worker_that_is_turned_away_while_another_serves_is_started_again():
-    processes, pool = Mock(), WorkerPool(2, [], grace=1.0, wait=0.0, is_pinned=False)
-    processes.restart_later.return_value = 0.5
-    for _ in range(2):
-        pool._on_exit(processes, ProcessExit("worker-0", 2), 0.0)
-    assert processes.restart_later.call_args_list == [call("worker-0", 0.0)] * 2
+@pytest.mark.parametrize(
+    ("codes", "restarts", "exit_code"),
+    [([0], 0, 0), ([2], 0, 2), ([-9, 2, 2], 3, 0), ([1] * 10, 5, 1), ([-11] * 10, 5, 1)],
+)
+def test_a_worker_is_given_up_that_left_is_hopeless_or_dies_again_and_again(codes, restarts, exit_code):
+    processes, pool = Restarts(), WorkerPool(1, [], grace=1.0, is_pinned=False)
+    pool._running = {"worker-0"}
+    for code in codes:
+        if pool._running:
+            pool.on_death(processes, ProcessExit("worker-0", code), 0.0)
+    assert min(processes.policy.deaths, 5) == restarts
+    assert pool.exit_code == exit_code
 
 
 MEMBER = """
@@ -78,8 +75,8 @@ def test_a_second_signal_is_passed_on_to_the_workers(tmp_path, monkeypatch):
     stop = Stop()
     killed: list[str] = []
 
-    class Told(ProcessGroup):
-        def __init__(self, _logs: object, grace: float) -> None:
+    class Told(ProcessSupervisor):
+        def __init__(self, _logs: object, grace: float, _steady: float) -> None:
             super().__init__(tmp_path / "logs", grace)
 
         def start(self, name, module, arguments, core=None):
@@ -101,6 +98,6 @@ def test_a_second_signal_is_passed_on_to_the_workers(tmp_path, monkeypatch):
             killed.extend(self.pids())
             super().stop(number)
 
-    monkeypatch.setattr(teams, "ProcessGroup", Told)
-    WorkerPool(2, [], grace=600.0, wait=0.0, is_pinned=False).run(stop)
+    monkeypatch.setattr(teams, "ProcessSupervisor", Told)
+    WorkerPool(2, [], grace=600.0, is_pinned=False).run(stop)
     assert killed == []

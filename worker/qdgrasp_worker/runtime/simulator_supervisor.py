@@ -13,7 +13,6 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import chain, repeat
 from math import inf
 from pathlib import Path
 from queue import SimpleQueue
@@ -31,6 +30,7 @@ from qdgrasp_assets.process_limits import (
     process_stats,
 )
 from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
+from qdgrasp_protocol.supervisor import RestartPolicy
 from qdgrasp_worker.device import Device
 from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.simulator_messages import (
@@ -172,9 +172,6 @@ def crash_reason(code: int, row_seconds: float) -> str | None:
 
 log = structlog.get_logger()
 
-RESTART_PAUSES = (0.0, 0.5, 1.0, 2.0, 4.0)
-"""Seconds before the next simulator, by the number that failed since a row was evaluated."""
-LAST_RESTART_PAUSE = 8.0  # Seconds before each one after those
 MAX_IN_FLIGHT = 2  # Batches at the simulator: the one in work, and one that waits, so that it is never idle
 MEMORY_HEADROOM = 1.4  # Memory that a simulator may allocate within a batch, over what it may keep
 MAX_LOAD_CRASHES = 3  # A scene that crashed as many simulators while loading is not tried again
@@ -229,10 +226,10 @@ class SimulatorSupervisor:
         self._requeued: deque[BatchProgress] = deque()  # Batches to be sent again, before any other
         self._scenes: set[str] = set()
         self._load_crashes: Counter[str] = Counter()
-        self._pauses = restart_pauses()
+        self._restarts = RestartPolicy()
         self._stall = StallDetector()
         self._is_retiring = False
-        self._raised = ""  # The error that the simulator raised, as it said; empty: none
+        self._raised = ""  # The error that the simulator raised; empty: none
         self._stats = NO_STATS
         self.restarts = 0
         """Number of simulators that were started after the first."""
@@ -332,7 +329,7 @@ class SimulatorSupervisor:
             case SimulatorCrashed(reason=reason):
                 self._raised = reason
             case PartialResult():
-                self._pauses = restart_pauses()
+                self._restarts.on_progress()
         if (head := self.head) is None:
             return []
         match message:
@@ -352,14 +349,25 @@ class SimulatorSupervisor:
             self.head.begin(now)
         return [head]
 
+    def _pause(self, reason: str | None, now: float) -> float:
+        """Seconds before the next simulator; NoSimulator after too many without a row."""
+        if reason is not None and self.is_ready:  # this row is known by its end
+            self._restarts.on_progress()
+            return 0.0
+        pause = self._restarts.on_death(now, is_from_outside=reason is None)
+        if pause is None:
+            raise NoSimulator(
+                f"{self._restarts.deaths} died without a row; {reason or 'the last was killed'}"
+            )
+        return pause
+
     def _on_end(self, event: SimulatorEnded, now: float) -> list[BatchProgress]:
         """Blame the batch in work if there is a reason to; the others go to the next simulator."""
         reason = self._raised or crash_reason(event.code, self._row_seconds)
         if self.platform is None and reason:
             raise NoSimulator(reason)
         log.warning("the simulator ended; another one is started", reason=reason or "it was killed")
-        is_of_a_row = reason is not None and self.is_ready
-        self._forget_simulator(now if is_of_a_row else now + next(self._pauses))
+        self._forget_simulator(now + self._pause(reason, now))
         sent = list(self._sent)
         self._sent.clear()
         if reason is None:
@@ -415,8 +423,3 @@ class SimulatorSupervisor:
         self._raised = ""
         self._stall = StallDetector()
         self._scenes.clear()
-
-
-def restart_pauses() -> chain[float]:
-    """Seconds before each next simulator, from the first on."""
-    return chain(RESTART_PAUSES, repeat(LAST_RESTART_PAUSE))
