@@ -4,17 +4,14 @@ S_G and cvg are those of Huber et al. 2024, section IV.
 
 A reference set holds the cells that are known to be graspable. It is an `.npz` file with, for each object,
 `<object>.cm` (n, 3), hand positions in whole centimetres in the object's CoM frame, and `<object>.fitness`
-(n,), the best fitness known there: 0, 1 or 2. Sets that were built here also say of what
-(`ReferenceOrigin`): `gripper`, and for each object `<object>.made_with`, `.identity`, `.protocols` and
-`.runs`; and by `<object>.by_run` what each of these runs found, from which follows an estimate of the cells
-that the set lacks.
+(n,), the best fitness known there: 0, 1 or 2.
 
 `ReleasedArchive` is the outcome archive of the authors' released code, which keeps fewer successes than a
 journal does: coverage is given in both countings.
 """
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -31,7 +28,6 @@ from qdgrasp_assets.scene import Scene, SceneObject
 from qdgrasp_assets.ycb import PREFIX
 from qdgrasp_coordinator.metrics.arrays import read_arrays
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
-from qdgrasp_coordinator.metrics.richness import RichnessEstimate, estimate_richness
 from qdgrasp_coordinator.metrics.scores import ROBUST
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
 from qdgrasp_protocol.text import counted
@@ -97,23 +93,6 @@ def reference_hand(gripper: str) -> str:
 
 
 EXPECTED_FILE = "expected an .npz file with '<object>.cm' and '<object>.fitness'"
-ORIGIN_KEYS = ("made_with", "identity", "protocols")
-"""Keys under which a set that was built here describes each object, beside its gripper."""
-
-
-@dataclass(frozen=True)
-class ReferenceOrigin:
-    """Runs that a set was built from."""
-
-    gripper: str
-    object: str
-    """The object of its runs: a name of the catalog or that of a mesh file."""
-    identity: str
-    """`object_identity` of that object."""
-    protocols: tuple[str, ...]
-    """The evaluation protocols of its runs, sorted."""
-    runs: tuple[str, ...] = ()
-    """`run_digest` of each of its runs, sorted; empty: an earlier version built it without them."""
 
 
 @dataclass(frozen=True)
@@ -125,13 +104,6 @@ class ReferenceSet:
     """(n, 3), distinct, whole centimetres, CoM frame."""
     fitness: NDArray[np.uint8]
     """(n,), the best fitness known in each cell: 0, 1 or 2."""
-    origin: ReferenceOrigin | None = None
-    """None: of the published scans, and the file does not say more."""
-    by_run: NDArray[np.uint8] | None = None
-    """(runs, n), 1 + the best fitness that each run of `origin` found in each cell, 0: it found none.
-
-    None: that is not known.
-    """
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -139,35 +111,8 @@ class ReferenceSet:
     @property
     def robust(self) -> "ReferenceSet":
         """The entries with fitness 2; runs with a success of fitness 2 there have found them."""
-        chosen, by_run = self.fitness == ROBUST, self.by_run
-        if by_run is not None:
-            by_run = np.where(by_run == 1 + ROBUST, by_run, 0)[:, chosen]
-        return replace(self, cells=self.cells[chosen], fitness=self.fitness[chosen], by_run=by_run)
-
-    @property
-    def estimate(self) -> RichnessEstimate | None:
-        """Estimated number of cells that runs like its own find.
-
-        None where it is not known what each run found, and as in `estimate_richness`.
-        """
-        return None if self.by_run is None else estimate_richness(self.by_run > 0)
-
-    def estimate_words(self, number: Callable[[float], str] = "{:.0f}".format) -> str:
-        """Put the estimate into sentences, or say why it is lacking; empty for a published set."""
-        if self.origin is None:
-            return ""
-        if self.by_run is None:
-            return f"The set does not say which run found which cell, so that {UNKNOWN}."
-        if (found := self.estimate) is None:
-            return f"The set is of {counted(len(self.by_run), 'run')}, so that {UNKNOWN}."
-        words = f"Of {found.total_words(number)} graspable cells, the set has {number(found.seen)}."
-        if (held := self.robust.estimate) is not None:
-            has = number(held.seen)
-            words += f" Of {held.total_words(number)} in which a grasp holds, it has {has}."
-        return words
-
-
-UNKNOWN = "there is no estimate of the cells that it lacks"
+        chosen = self.fitness == ROBUST
+        return replace(self, cells=self.cells[chosen], fitness=self.fitness[chosen])
 
 
 def read_reference(path: Path, name: str) -> ReferenceSet:
@@ -193,21 +138,13 @@ def read_references(path: Path) -> dict[str, ReferenceSet]:
     return {name: _checked_set(path, name, arrays) for name in objects}
 
 
-def is_stand_in(run_object: str, identity: str, reference: ReferenceSet) -> bool:
+def is_stand_in(run_object: str, reference: ReferenceSet) -> bool:
     """Return whether a run's object only stands in for the scan that a set was made with.
 
-    The object is given as the run's spec names it, with its `object_identity`; a set that does not say what
-    it was built from was made with the scan. Raises `InputError` where the run is neither on the object that
-    the set was made with nor, where that is the scan, on its stand-in: its positions mean something else.
+    The object is given as the run's spec names it. Raises `InputError` where the run is neither on the scan
+    nor on its stand-in: its positions mean something else.
     """
-    name, origin = reference.object, reference.origin
-    if origin is not None and origin.identity == identity:
-        return False
-    if origin is not None and origin.object != f"ycb_{name}":
-        raise InputError(
-            f"The set of '{name}' was built from runs on '{origin.object}', but this run is on "
-            f"'{run_object}', whose mesh or centre of mass is another."
-        )
+    name = reference.object
     if run_object not in (name, f"ycb_{name}"):
         raise InputError(
             f"The set of '{name}' compares with runs on 'ycb_{name}' or on the stand-in '{name}', "
@@ -228,29 +165,7 @@ def _checked_set(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]
     cells = found.astype(np.int64)
     if len(np.unique(cells, axis=0)) != len(cells):
         raise AssetError(f"'{name}.cm' in '{path}' names a cell more than once.")
-    origin, by_run = _origin(name, arrays), arrays.get(f"{name}.by_run")
-    known = ReferenceSet(name, cells, fitness.astype(np.uint8), origin)
-    if origin is None or not origin.runs:
-        return known
-    shape = len(origin.runs), len(cells)
-    if by_run is None or by_run.dtype != np.uint8 or by_run.shape != shape:
-        form = "nothing" if by_run is None else _array_form(by_run)
-        raise AssetError(f"'{name}.by_run' in '{path}' must be uint8 {shape}, got {form}.")
-    if not np.array_equal(by_run.astype(np.uint8).max(axis=0), known.fitness + 1):
-        raise AssetError(
-            f"'{name}.by_run' in '{path}' does not have the best fitness that '{name}.fitness' has."
-        )
-    return replace(known, by_run=by_run.astype(np.uint8))
-
-
-def _origin(name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceOrigin | None:
-    values = [arrays.get(key) for key in ("gripper", *(f"{name}.{part}" for part in ORIGIN_KEYS))]
-    gripper, made_with, identity, protocols = values
-    if gripper is None or made_with is None or identity is None or protocols is None:
-        return None
-    runs = arrays.get(f"{name}.runs", np.zeros(0, np.str_))
-    texts = (tuple(map(str, listed.ravel())) for listed in (protocols, runs))
-    return ReferenceOrigin(str(gripper), str(made_with), str(identity), *texts)
+    return ReferenceSet(name, cells, fitness.astype(np.uint8))
 
 
 def _array_form(array: NDArray[np.generic]) -> str:
@@ -267,7 +182,7 @@ class CoverageTarget:
     reference: ReferenceSet | None = None
     """Never empty; None: there is nothing to compare with."""
     archive: ReleasedArchive | None = None
-    """The released code's archive; None for a hand that it lacks, and for a set of one's own."""
+    """The released code's archive; None for a hand that it lacks."""
     stand_in: bool = False
     """True if the scene's object only stands in for the scan that the set was made with."""
     why: str = ""
@@ -282,8 +197,8 @@ class CoverageTarget:
 class ReferenceLookup:
     """Finds the target of each scene.
 
-    Sets in `files` come before the published ones on the asset path. A file that does not say which hand it
-    is for says it by its name, `S_G_<hand>.npz`.
+    Sets in `files` come before the published ones on the asset path. The name of a file
+    says which hand it is for: `S_G_<hand>.npz`.
     """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
@@ -291,26 +206,22 @@ class ReferenceLookup:
 
     def of(self, scene: Scene, run_object: str) -> CoverageTarget:
         """The target of a scene whose object a run's spec calls `run_object`."""
-        hand, body = reference_hand(scene.gripper.name), object_identity(scene.object)
+        hand = reference_hand(scene.gripper.name)
         name = scene.object.name.removeprefix(PREFIX)
-        for known in self._candidates(hand, scene.gripper.name, body, name):
+        for known in self._candidates(hand, name):
             try:
-                stand_in = is_stand_in(run_object, body, known)
+                stand_in = is_stand_in(run_object, known)
             except InputError:
                 continue
             if len(known):
-                archive = released_archive(scene) if known.origin is None else None
-                return CoverageTarget(known, archive, stand_in)
+                return CoverageTarget(known, released_archive(scene), stand_in)
             return CoverageTarget(why=f"S_G of {hand} and {name} is empty")
         return CoverageTarget(why=f"no S_G of {hand} and {name}")
 
-    def _candidates(self, hand: str, gripper: str, body: str, name: str) -> Iterator[ReferenceSet]:
+    def _candidates(self, hand: str, name: str) -> Iterator[ReferenceSet]:
         for path, sets in self._own:
-            for known in sets.values():
-                origin = known.origin
-                hers = path.stem.endswith(f"_{hand}") if origin is None else origin.gripper == gripper
-                if hers and (known.object == name or (origin is not None and origin.identity == body)):
-                    yield known
+            if path.stem.endswith(f"_{hand}") and name in sets:
+                yield sets[name]
         published = on_asset_path(PUBLISHED_SETS.format(hand=hand))
         if published is not None and name in (sets := _read_published(published)):
             yield sets[name]
@@ -341,11 +252,7 @@ class Coverage(Struct, frozen=True, kw_only=True):
     robust_found: int
     """Entries in which a success of fitness 2 was found."""
     released_found: int | None
-    """Elites of the released code's archive in the set; None for a foreign hand or set."""
-    estimate: RichnessEstimate | None
-    """Number of cells, estimated from the runs that a set of one's own was built from."""
-    robust_estimate: RichnessEstimate | None
-    """Number of cells with a grasp of fitness 2; None: see `ReferenceSet.estimate`."""
+    """Elites of the released code's archive in the set; None for a hand that it lacks."""
     sentence: str = ""
     """The result in words."""
 
@@ -359,15 +266,14 @@ def coverage(
     """Compare a run's successes with the reference set of the same object.
 
     `positions` (n, 3) [m] of the hand, CoM frame, and `fitness` (n,) are in journal order. Without the
-    released code's archive for this scene, its figures are left out, and so they are for a set of one's own,
-    which that code never had.
+    released code's archive for this scene, its figures are left out.
     """
     reached, robust = cells(positions), reference.robust
     distinct = np.unique(reached, axis=0)
     found = _common_cells(distinct, reference)
     robust_found = _common_cells(np.unique(reached[fitness == ROBUST], axis=0), robust)
     elites = robust_elites = None
-    if archive is not None and reference.origin is None:
+    if archive is not None:
         kept = archive.elites(positions, fitness)
         elites = _common_cells(reached[kept], reference)
         robust_elites = _common_cells(reached[kept[fitness[kept] == ROBUST]], reference)
@@ -382,11 +288,8 @@ def coverage(
         robust_size=len(robust),
         robust_found=robust_found,
         released_found=elites,
-        estimate=reference.estimate,
-        robust_estimate=robust.estimate,
     )
-    words = f"{_sentence(result, reference.object)} {reference.estimate_words()}".rstrip()
-    return msgspec.structs.replace(result, sentence=words)
+    return msgspec.structs.replace(result, sentence=_sentence(result, reference.object))
 
 
 def _common_cells(positions: NDArray[np.int64], reference: ReferenceSet) -> int:

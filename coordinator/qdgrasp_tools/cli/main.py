@@ -73,7 +73,6 @@ PANELS: dict[str, dict[Callable[..., None] | typer.Typer, str]] = {
         inspection_commands.verify: "Evaluate recorded rows again, and compare bit for bit.",
         inspection_commands.digest: "Print one sha256 over the rows of a run.",
         reference_commands.coverage: "Say how much of a reference set a run has found.",
-        reference_commands.reference_app: "Build and describe reference sets.",
         campaign_commands.analyse: "Draw and tabulate what a campaign found.",
     },
 }

@@ -442,10 +442,8 @@ def measure_words(measure: CurveMeasure, group: RunGroup) -> str:
     target = group.target
     pool = ", mean over objects" if isinstance(group.runs[0], PooledRun) else ""
     if measure is COVERAGE:
-        estimate = None if pool or target.reference is None else target.reference.estimate
-        of_set = "" if estimate is None else f", about {estimate.completeness:.0%} complete"
         mark = ", on a stand-in for the scan" if target.stand_in else ""
-        return f"{measure.words}{pool}{of_set}{mark}"
+        return f"{measure.words}{pool}{mark}"
     return f"{measure.words}{pool}: {target.why or 'not all runs have an S_G'}"
 
 

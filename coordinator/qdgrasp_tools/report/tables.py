@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet
 from qdgrasp_coordinator.metrics.success_metrics import StepSeries
 from qdgrasp_protocol.text import counted, first_few
 from qdgrasp_tools.report.bootstrap import CONFIDENCE_LEVEL, LEAST_RUNS, LEAST_SCENES, RESAMPLES
@@ -107,21 +106,10 @@ def run_rows(groups: Iterable[RunGroup]) -> list[Row]:
             "set_size": run.target.size or None,
             "stand_in": ("yes" if run.target.stand_in else "no") if run.target.size else None,
             "why_no_set": run.target.why,
-            **_estimate_columns(run.target.reference),
         }
         for group in groups
         for run in group.runs
     ]
-
-
-def _estimate_columns(known: ReferenceSet | None) -> Row:
-    """Return the estimated numbers of cells, all and robust; no columns without an estimate."""
-    columns: Row = {}
-    if known is not None:
-        for name, one in (("set", known.estimate), ("robust_set", known.robust.estimate)):
-            if one is not None:
-                columns |= {f"{name}_estimate": one.total, f"{name}_low": one.low, f"{name}_high": one.high}
-    return columns
 
 
 def method_rows(groups: Iterable[RunGroup]) -> list[Row]:
@@ -411,8 +399,7 @@ def _scenes(groups: Sequence[RunGroup]) -> Iterable[str]:
         if target.reference is None:
             yield f"No coverage: {target.why}.\n"
         else:
-            estimate = target.reference.estimate_words(WHOLE)
-            yield f"S_G has {target.size:,} entries{mark}. {estimate}".rstrip() + "\n"
+            yield f"S_G has {target.size:,} entries{mark}.\n"
         yield _methods(here)
 
 
