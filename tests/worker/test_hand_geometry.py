@@ -3,8 +3,8 @@
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.grippers.urdf import parse_robot
-from qdgrasp_worker.hand_geometry import neighbours
 
 URDF = """<robot name="hand"><link name="palm"/><link name="pad"/><link name="finger"/><link name="tip"/>
 <joint name="a" type="fixed"><parent link="palm"/><child link="pad"/></joint>

@@ -11,7 +11,7 @@ from tests.worker.genomes import draw, evaluated, results
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.rotation import rotate
 from qdgrasp_assets.geometry.voxels import Hull
-from qdgrasp_assets.grippers.hand_surface import HandKinematics
+from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_protocol.rows import CONTACT_VALUES, RESULT, Outcome
 from qdgrasp_worker.evaluator import spread_contacts
 from qdgrasp_worker.object_geometry import ObjectSolid
@@ -39,7 +39,7 @@ def outside(hulls: list[Hull], point: NDArray[np.float64]) -> float:
 
 
 def test_contacts_lie_on_the_object_and_on_the_link_that_they_name(recorded_cube, rows):
-    hand, solid = HandKinematics(recorded_cube.gripper), ObjectSolid(recorded_cube)
+    hand, solid = hand_geometry(recorded_cube.gripper), ObjectSolid(recorded_cube)
     successes = rows[rows["outcome"] >= Outcome.DROPPED]
     seen = set()
     for row in successes:

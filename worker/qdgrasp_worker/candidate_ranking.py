@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import AIMED, PRIOR_FEATURES, TOUCH_VALUE, VALUED
 from qdgrasp_assets.geometry.rotation import Floats, dot
 from qdgrasp_assets.geometry.voxels import rotation_matrices
+from qdgrasp_assets.grippers.hand_geometry import Closing
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.filters.overlap_filter import OverlapFilter
 from qdgrasp_worker.filters.table_filter import TableFilter
-from qdgrasp_worker.hand_geometry import Closing
 from qdgrasp_worker.object_geometry import ObjectSolid
 from qdgrasp_worker.swept_volume import FirstContacts, SweptVolumes
 

@@ -23,11 +23,10 @@ from qdgrasp_assets.geometry.voxels import (
     rotation_matrices,
     transform_points,
 )
-from qdgrasp_assets.grippers.hand_surface import SharedHand
+from qdgrasp_assets.grippers.hand_geometry import Closing, HandGeometry, hand_geometry
 from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.decoder import DecodedGrasps
-from qdgrasp_worker.hand_geometry import Closing
 from qdgrasp_worker.object_geometry import SurfaceSample
 
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]
@@ -124,7 +123,7 @@ class SweptVolumes:
     """The volumes of a scene's hand, each measured when it is first needed."""
 
     def __init__(self, gripper: SceneGripper, closing: Closing) -> None:
-        self._hand = SharedHand.of(gripper)
+        self._hand = hand_geometry(gripper)
         self._closing = closing
         self._opened = [joint.opened for joint in gripper.joints]
         names = [joint.name for joint in gripper.joints]
@@ -203,12 +202,12 @@ VOLUMES_KEPT = 64  # Swept volumes that a process keeps, the last ones used; 1 M
 
 
 @lru_cache(VOLUMES_KEPT)
-def measure_swept_volume(hand: SharedHand, course: bytes) -> SweptVolume:
-    """Mark the way of a hand's fingers through the postures of a course (`SharedHand.postures`)."""
-    kinematics, links = hand.kinematics, hand.gripper.finger_links
-    frames = kinematics.frames(hand.postures(course))
-    voxels = VoxelGrid(*kinematics.box(links, frames), VOXEL_PITCH, np.uint16)
-    parts = [(link, hull) for link in links for hull in simplified_hulls(kinematics.hulls[link])]
+def measure_swept_volume(hand: HandGeometry, course: bytes) -> SweptVolume:
+    """Mark the way of a hand's fingers through the postures of a course (`HandGeometry.postures`)."""
+    links = hand.gripper.finger_links
+    frames = hand.frames(hand.postures(course))
+    voxels = VoxelGrid(*hand.box(links, frames), VOXEL_PITCH, np.uint16)
+    parts = [(link, hull) for link in links for hull in simplified_hulls(hand.hulls[link])]
     owners, approach = finger_numbers(hand), np.array(hand.gripper.approach_axis)
     looks = len(next(iter(frames.values())))
     ways = np.zeros((1 + looks * len(parts), 3), dtype=np.int32)
@@ -224,10 +223,10 @@ def measure_swept_volume(hand: SharedHand, course: bytes) -> SweptVolume:
     return SweptVolume(voxels, ways, fingers, len(parts))
 
 
-def finger_numbers(hand: SharedHand) -> dict[str, int]:
+def finger_numbers(hand: HandGeometry) -> dict[str, int]:
     """The finger that each finger link belongs to, counted from 0."""
     links = hand.gripper.finger_links
-    branches = finger_branches(hand.kinematics.robot, hand.gripper.base_link, set(links))
+    branches = finger_branches(hand.robot, hand.gripper.base_link, set(links))
     names = list(dict.fromkeys(branches.get(link, "") for link in links))
     return {link: names.index(branches.get(link, "")) for link in links}
 

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, rotate
+from qdgrasp_assets.grippers.hand_geometry import free_posture
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake, TrialSetup
 from qdgrasp_worker.filters.contact_filter import Box, SweptBox
-from qdgrasp_worker.hand_geometry import free_posture
 
 Quaternion = tuple[float, float, float, float]
 HandFrame = tuple[Floats, Floats]

@@ -29,7 +29,7 @@ from qdgrasp_assets.geometry.voxels import (
     transform_points,
 )
 from qdgrasp_assets.grippers.collision_shapes import obj_group_corners
-from qdgrasp_assets.grippers.hand_surface import POINTS_AT_ONCE, STAGES, SharedHand
+from qdgrasp_assets.grippers.hand_geometry import POINTS_AT_ONCE, STAGES, hand_geometry
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper
 from qdgrasp_protocol.spec import APPROACH_DISTANCE, RunSpec
 
@@ -45,7 +45,7 @@ class HandApproach:
     """
 
     def __init__(self, gripper: SceneGripper, distance: float) -> None:
-        self._surface = SharedHand.of(gripper).samples
+        self._surface = hand_geometry(gripper).samples
         self._axis = np.array(gripper.approach_axis)
         self._distance = distance
         steps = ceil(distance / APPROACH_STEP)

@@ -424,10 +424,7 @@ def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) 
         reason = limits.reason(every, source.scene())
         raise InputError(f"{source.path} has no grasp within these limits: {reason}.")
     if object_pose is not None:
-        from qdgrasp_tools.rendering.hand_geometry import (  # scipy takes its time
-            orientation,
-            table_under,
-        )
+        from qdgrasp_tools.rendering.table import orientation, table_under
 
         scene = source.scene()
         table = table_under(scene, orientation(object_pose))

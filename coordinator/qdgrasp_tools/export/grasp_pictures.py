@@ -6,6 +6,8 @@ import numpy as np
 import trimesh
 
 from qdgrasp_assets.geometry.mesh import Mesh
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.metrics.run_stats import outcome_words
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS
@@ -20,7 +22,6 @@ from qdgrasp_tools.rendering.contact_sheet import (
     contact_sheet,
     draw_hands,
 )
-from qdgrasp_tools.rendering.hand_geometry import Floats, hand_geometry
 from qdgrasp_tools.rendering.views import CLAY, object_mesh, rgb
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def hand_scene(gripper: SceneGripper, pose: Floats, joints: Floats) -> trimesh.S
     frames = hand.link_frames(pose, joints)
     root, made = frames[gripper.base_link], trimesh.Scene()
     made.graph.update(frame_to="hand", matrix=root)  # type: ignore[no-untyped-call]  # of trimesh
-    for name, mesh in hand.link_meshes().items():
+    for name, mesh in hand.link_meshes.items():
         colour = HAND_HUE if name in gripper.finger_links else PALM_COLOUR
         made.add_geometry(
             _coloured(mesh, colour),

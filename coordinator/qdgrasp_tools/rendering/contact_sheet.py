@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from qdgrasp_assets.geometry.mesh import Mesh
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_tools.rendering.annotations import INK, fitting_size, label_font
-from qdgrasp_tools.rendering.hand_geometry import Floats, hand_geometry
 from qdgrasp_tools.rendering.ray_renderer import (
     RAYS_PER_PIXEL,
     LayeredImage,

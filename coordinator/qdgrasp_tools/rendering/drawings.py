@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.geometry.mesh_repair import MeshEdges
+from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.grasp_quality import NOT_SETTLED, settled_mask
@@ -33,7 +34,6 @@ from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.rendering.annotations import AXIS_COLOURS, FRAME_LENGTH, INK
-from qdgrasp_tools.rendering.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_tools.rendering.ray_renderer import (
     FIELD,
     RAYS_PER_PIXEL,

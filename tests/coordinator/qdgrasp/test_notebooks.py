@@ -20,11 +20,11 @@ from tests.coordinator.scenes import made_scene
 from tests.tools.export.conftest import random_rows
 
 import qdgrasp
+from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import Outcome, RowShape
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.rendering.hand_geometry import hand_geometry
 
 COM = (0.01, -0.02, 0.03)
 OUTCOMES = [Outcome.MISSED, Outcome.DROPPED, *[Outcome.HELD] * 8]

@@ -13,11 +13,11 @@ from tests.tools.export.independent_readers import READERS
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
+from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome, RowShape
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.export.exporter import export_run
-from qdgrasp_tools.rendering.hand_geometry import hand_geometry
 
 SKEW = np.eye(4) + 0.1 * np.eye(4, k=1)
 MIRROR = np.diag([1.0, 1.0, -1.0, 1.0])

@@ -4,10 +4,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.coordinator.scenes import made_scene
 
+from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Rows, RowShape
-from qdgrasp_tools.rendering.hand_geometry import AS_MODELLED, hand_geometry, orientation, table_under
+from qdgrasp_tools.rendering.table import AS_MODELLED, orientation, table_under
 
 AT_HOME = np.array([0, 0, 0, 0, 0, 0, 1.0])
 

@@ -13,7 +13,7 @@ from tests.worker.genomes import HANDS, REFERENCE, decoded
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.voxels import convex_hulls
-from qdgrasp_assets.grippers.hand_surface import HandKinematics, SharedHand
+from qdgrasp_assets.grippers.hand_geometry import free_posture, hand_geometry
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
@@ -29,7 +29,6 @@ from qdgrasp_worker.filters.contact_filter import (
     interpolate_course,
     measure_zones,
 )
-from qdgrasp_worker.hand_geometry import free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
 
 RADIUS = 0.05
@@ -183,7 +182,7 @@ def test_all_that_passes_by_is_in_its_zones_wherever_free_joints_stand(hand, mak
     scene = make_scene(hand, "mug", "paper")
     world, skeleton, random = (
         BulletShakenWorld(scene),
-        HandKinematics(scene.gripper),
+        hand_geometry(scene.gripper),
         np.random.default_rng(3),
     )
     reach = reach_of(scene, world)
@@ -220,10 +219,10 @@ def away(zone, frame, points):
 def test_distances_are_never_too_large_and_voxels_not_too_many(most, cube, monkeypatch):
     monkeypatch.setattr("qdgrasp_worker.filters.contact_filter.MAX_VOXELS", most)
     world = BulletShakenWorld(cube)
-    hand = SharedHand.of(cube.gripper)
+    hand = hand_geometry(cube.gripper)
     course = np.array(world.closing(world.opened, -1))
     [zone] = measure_zones.__wrapped__(hand, (course.tobytes(),)).values()
-    skeleton = hand.kinematics
+    skeleton = hand
     frames = skeleton.frames(interpolate_course(course))
     courses = [along(hull, frames[link][::9]) for link, hulls in skeleton.hulls.items() for hull in hulls]
     swept = np.concatenate(courses)[::5]

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.worker.replay.recorded_evaluations import RecordedEvaluation, record_evaluation, request
 
 from qdgrasp_assets.geometry.resting_poses import resting_poses
-from qdgrasp_assets.grippers.hand_surface import HandKinematics
+from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
@@ -238,7 +238,7 @@ class Watched:
         self.numbers = {link: number for number, link in enumerate(drawer.links)}
         robot = parse_robot(Path(), ET.fromstring(scene.gripper.urdf))  # noqa: S314
         self.frames = robot.forward(snapshot.joints, frame(row["base_to_object"]))
-        self.hulls = HandKinematics(scene.gripper).hulls
+        self.hulls = hand_geometry(scene.gripper).hulls
         self.fingers = [link for link in scene.gripper.finger_links if self.hulls[link]]
         self.object = frame([*snapshot.object[0], *snapshot.object[1]])
 

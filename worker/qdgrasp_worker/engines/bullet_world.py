@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate
+from qdgrasp_assets.grippers.hand_geometry import free_posture, neighbours
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot
 from qdgrasp_assets.scene import Joint, RestingPose, Scene, SceneGripper, SceneObject, Vector
 from qdgrasp_protocol.errors import AssetError
@@ -23,7 +24,6 @@ from qdgrasp_worker.engines.bullet import BASE, BREAKING_THRESHOLD, Bullet, Bull
 from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
 from qdgrasp_worker.filters.contact_filter import Box
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
-from qdgrasp_worker.hand_geometry import free_posture, neighbours
 from qdgrasp_worker.physical_episode import TABLE_HALF, PhysicalWorld, table_middle
 from qdgrasp_worker.world import (
     AWAY_POSITION,

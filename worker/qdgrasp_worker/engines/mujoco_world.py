@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate, unit
+from qdgrasp_assets.grippers.hand_geometry import free_posture, neighbours
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
@@ -26,7 +27,6 @@ from qdgrasp_worker.engines.mujoco_simulation import Simulation
 from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
 from qdgrasp_worker.filters.contact_filter import Box
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
-from qdgrasp_worker.hand_geometry import free_posture, neighbours
 from qdgrasp_worker.physical_episode import HULL_MARGIN, PhysicalWorld, table_middle
 from qdgrasp_worker.world import (
     AWAY_POSITION,

@@ -37,10 +37,15 @@ from scipy.ndimage import distance_transform_edt
 from qdgrasp_assets.geometry.primitives import geodesic
 from qdgrasp_assets.geometry.rotation import Floats, running_sum
 from qdgrasp_assets.geometry.voxels import Hull, Singles, VoxelGrid
-from qdgrasp_assets.grippers.hand_surface import SharedHand
+from qdgrasp_assets.grippers.hand_geometry import (
+    Closing,
+    FreeJointLinks,
+    HandGeometry,
+    free_posture,
+    hand_geometry,
+)
 from qdgrasp_assets.scene import SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.hand_geometry import Closing, FreeJointLinks, free_posture
 from qdgrasp_worker.object_geometry import ObjectSolid
 
 Box = tuple[Vector, Vector]  # Low and high corner
@@ -296,9 +301,9 @@ class ContactFilter:
         follows_free_joints: bool,
         sight: float = 0.0,
     ) -> None:
-        self._hand = SharedHand.of(gripper)
-        self._mounts = FreeJointLinks(gripper, self._hand.kinematics)
-        self.is_known = self._hand.kinematics.is_understood and solid.is_whole and self._mounts.all_still
+        self._hand = hand_geometry(gripper)
+        self._mounts = FreeJointLinks(self._hand)
+        self.is_known = self._hand.is_understood and solid.is_whole and self._mounts.all_still
         """True if all of hand and object is understood; if not, no pose surely misses."""
         self._closing = closing
         opened = [joint.opened for joint in gripper.joints]
@@ -360,15 +365,14 @@ ZONES_KEPT = 32  # Synergies whose zones a process keeps, the last ones used; ab
 
 
 @lru_cache(ZONES_KEPT)
-def measure_zones(hand: SharedHand, courses: tuple[bytes, ...]) -> dict[str, DistanceField]:
-    """The zones of a closing hand; a course, `SharedHand.postures`, for each free joint place."""
-    kinematics = hand.kinematics
-    mounts = FreeJointLinks(hand.gripper, kinematics)
+def measure_zones(hand: HandGeometry, courses: tuple[bytes, ...]) -> dict[str, DistanceField]:
+    """The zones of a closing hand; a course, `HandGeometry.postures`, for each free joint place."""
+    mounts = FreeJointLinks(hand)
     passing: dict[str, list[tuple[Hull, Floats]]] = {}
     for place, course in zip(FREE_JOINT_PLACES, courses, strict=False):
-        frames = kinematics.frames(interpolate_course(hand.postures(course)))
+        frames = hand.frames(interpolate_course(hand.postures(course)))
         placed = mounts.frames(free_posture(hand.gripper, place))
-        for link, hulls in kinematics.hulls.items():
+        for link, hulls in hand.hulls.items():
             under = mounts.mount_of[link]
             path = np.linalg.inv(placed[under]) @ frames[link]
             passing.setdefault(under, []).extend((hull, path) for hull in hulls)

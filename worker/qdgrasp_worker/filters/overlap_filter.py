@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.voxels import rotation_matrices, transform_points
-from qdgrasp_assets.grippers.hand_surface import POINTS_AT_ONCE, STAGES, SharedHand
+from qdgrasp_assets.grippers.hand_geometry import POINTS_AT_ONCE, STAGES, hand_geometry
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.object_geometry import ObjectSolid
@@ -22,7 +22,7 @@ class OverlapFilter:
     """
 
     def __init__(self, gripper: SceneGripper, solid: ObjectSolid, *, follows_free_joints: bool) -> None:
-        self._samples = SharedHand.of(gripper).samples
+        self._samples = hand_geometry(gripper).samples
         self._inside = solid.inside
         self._follows = follows_free_joints and bool(gripper.free_joints)
         self._opened = np.array([[joint.opened for joint in gripper.joints]], dtype=np.float32)

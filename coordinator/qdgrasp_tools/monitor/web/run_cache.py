@@ -22,6 +22,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from qdgrasp_assets.asset_paths import cache_folder
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins, settled_poses
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListing, RunListings
@@ -33,7 +35,6 @@ from qdgrasp_protocol.errors import BusError, FolderError, InputError, NoDataFol
 from qdgrasp_tools.monitor.records import JobRecords, JournalId, RecordPage, Records
 from qdgrasp_tools.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
 from qdgrasp_tools.rendering.contact_sheet import PlacedHands, common_camera, paint_hands
-from qdgrasp_tools.rendering.hand_geometry import Floats, HandGeometry, hand_geometry
 from qdgrasp_tools.rendering.views import SurfaceDistanceGrid, clear_png, object_mesh, object_picture
 
 WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one's query [s]

@@ -15,6 +15,8 @@ from msgspec import Struct
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.grippers.hand_geometry import HandGeometry
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
@@ -23,7 +25,6 @@ from qdgrasp_coordinator.storage.engine_table import EngineTable, holding_in_all
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.engines import engine_names
 from qdgrasp_protocol.rows import CONTACT_VALUES, NO_SYNERGY, Outcome, trial_count
-from qdgrasp_tools.rendering.hand_geometry import Floats, HandGeometry
 
 
 class TriangleMesh(Struct, frozen=True):
@@ -140,7 +141,7 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
         mesh=_triangles(vertices, np.frombuffer(body.mesh_faces, "<u4")),
         links=[
             LinkMesh(name, name in hand.gripper.finger_links, _triangles(mesh.vertices, mesh.faces))
-            for name, mesh in hand.link_meshes().items()
+            for name, mesh in hand.link_meshes.items()
         ],
     )
 
@@ -172,7 +173,7 @@ def grasp_view(
         settled=settled if is_settled else None,
         pregrasp=dict(zip(names, postures[0].tolist(), strict=True)),
         joints=dict(zip(names, postures[1].tolist(), strict=True)),
-        frames=_closing_frames(hand, ends, postures, {scene.base, *hand.link_meshes()}),
+        frames=_closing_frames(hand, ends, postures, {scene.base, *hand.link_meshes}),
         finger_links=int(find["contacts"]),
         penetration=float(find["penetration"]),
         moved=moved,

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.tools.monitor.web.conftest import finds, random_finds
 
 from qdgrasp_assets.catalog import find_gripper
+from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS
@@ -25,7 +26,6 @@ from qdgrasp_tools.monitor.web.scene_data import (
     grasp_view,
 )
 from qdgrasp_tools.monitor.web.server import STATIC
-from qdgrasp_tools.rendering.hand_geometry import HandGeometry, hand_geometry
 
 
 def positions(mesh: scene_data.TriangleMesh) -> NDArray[np.float32]:

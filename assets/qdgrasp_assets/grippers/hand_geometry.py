@@ -1,0 +1,317 @@
+"""The geometry of a scene's hand: placed links, convex parts, drawn shapes and points on it.
+
+All of it depends on the hand alone, and the evaluation's filters, the pictures and the page derive theirs
+from it: convex parts are what the simulator makes of collision shapes, shapes are the triangles drawn.
+"""
+
+import hashlib
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from qdgrasp_assets.geometry.mesh import Mesh, join
+from qdgrasp_assets.geometry.rotation import Floats, dot
+from qdgrasp_assets.geometry.voxels import Hull, Singles, convex_hulls
+from qdgrasp_assets.grippers.collision_shapes import (
+    CollisionShape,
+    is_all_convex,
+    link_convex_parts,
+    shapes,
+)
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_robot
+from qdgrasp_assets.scene import SceneGripper
+
+Closing = Callable[[Sequence[float], int], list[list[float]]]
+"""Courses of a closing hand's joints, by its initial posture and its synergy."""
+HANDS_KEPT = 8  # Hands whose geometry a process keeps, the last ones used
+_hands: dict[bytes, "HandGeometry"] = {}
+"""Geometries by the digest of their hand's content, the last one used at the end."""
+
+
+def hand_geometry(gripper: SceneGripper) -> "HandGeometry":
+    """Return the geometry of a scene's hand; scenes with the same hand share one object."""
+    key = hashlib.sha256(msgspec.msgpack.encode(gripper, order="deterministic")).digest()
+    found = _hands.pop(key, None) or HandGeometry(gripper)
+    _hands[key] = found
+    if len(_hands) > HANDS_KEPT:
+        del _hands[next(iter(_hands))]
+    return found
+
+
+class HandGeometry:
+    """The links of a scene's hand from its root link outward, without the carrier.
+
+    Joints are in the gripper's order throughout.
+    """
+
+    def __init__(self, gripper: SceneGripper) -> None:
+        self.gripper = gripper
+        self._whole = parse_robot(Path(gripper.name), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
+        self.robot = self._whole.subtree(gripper.base_link)
+        self._joints = [joint.name for joint in gripper.joints]
+
+    @cached_property
+    def hulls(self) -> dict[str, list[Hull]]:
+        """The convex parts of each link, link frame; flat ones are left out."""
+        parts = list(link_convex_parts(self.robot, self.gripper.meshes))
+        return {
+            link: convex_hulls(part.corners for part in parts if part.link == link)
+            for link in self.robot.links
+        }
+
+    @cached_property
+    def is_understood(self) -> bool:
+        """True if all collision shapes are in `hulls`: all convex, none flat, none the carrier's."""
+        meshes = self.gripper.meshes
+        return is_all_convex(self._whole, meshes) and (
+            sum(map(len, self.hulls.values())) == len(list(link_convex_parts(self._whole, meshes)))
+        )
+
+    @cached_property
+    def samples(self) -> "HandSurfaceSamples":
+        """Sample points on and in its convex parts."""
+        return HandSurfaceSamples(self)
+
+    @cached_property
+    def shapes(self) -> tuple[CollisionShape, ...]:
+        """Collision shapes as triangles, as they are drawn."""
+        return tuple(shapes(self.robot, self.gripper.meshes))
+
+    @cached_property
+    def link_meshes(self) -> dict[str, Mesh]:
+        """The shapes of each link that has any, joined, in the link's frame [m]."""
+        found: dict[str, list[Mesh]] = {}
+        for shape in self.shapes:
+            found.setdefault(shape.link, []).append(Mesh(shape.vertices, shape.faces))
+        return {name: join(parts) for name, parts in found.items()}
+
+    def is_finger(self, shape: CollisionShape) -> bool:
+        """Return whether the contact of a shape makes a success."""
+        return shape.link in self.gripper.finger_links
+
+    def postures(self, course: bytes) -> Floats:
+        """Return the postures (n, j) [rad or m] in the bytes of a course, which can be a part of a key."""
+        return np.frombuffer(course).reshape(-1, len(self._joints))
+
+    def frames(self, postures: Floats) -> dict[str, Floats]:
+        """The frame (n, 4, 4) of each link in the hand's, joints at `postures` (n, j) [rad or m]."""
+        frames = self.robot.forward(dict(zip(self._joints, postures.T, strict=True)))
+        shape = (len(postures), 4, 4)
+        return {link: np.broadcast_to(frame, shape) for link, frame in frames.items()}
+
+    def link_frames(self, base_to_object: Floats, joints: Floats) -> dict[str, Floats]:
+        """Return each link's frame (..., 4, 4) in the object's CoM frame.
+
+        `base_to_object` (..., 7) is position [m] and quaternion xyzw of the hand's root link, `joints`
+        (..., j) are finger joint positions [rad or m].
+        """
+        positions = dict(zip(self._joints, np.moveaxis(joints, -1, 0), strict=True))
+        base = np.tile(np.eye(4), (*base_to_object.shape[:-1], 1, 1))
+        base[..., :3, :3] = Rotation.from_quat(base_to_object[..., 3:]).as_matrix()
+        base[..., :3, 3] = base_to_object[..., :3]
+        return self.robot.forward(positions, base)
+
+    def place_meshes(self, base_to_object: Floats, joints: Floats) -> Iterator[tuple[CollisionShape, Floats]]:
+        """Yield each shape with its vertices (v, 3) [m] in the object's CoM frame.
+
+        `base_to_object` (7,) and `joints` (j,) as in `link_frames`.
+        """
+        frames = self.link_frames(base_to_object, joints)
+        for shape in self.shapes:
+            frame = frames[shape.link]
+            yield shape, shape.vertices @ frame[:3, :3].T + frame[:3, 3]
+
+    def lowest_points(self, base_to_object: Floats, joints: Floats, up: Floats) -> Floats:
+        """Return the least component of each hand's shapes along `up`: (n,) [m].
+
+        `base_to_object` (n, 7) and `joints` (n, j) as in `link_frames`; `up` (3,) is a unit vector there.
+        """
+        frames = self.link_frames(base_to_object, joints)
+        lowest = np.full(len(base_to_object), np.inf)
+        for shape in self.shapes:
+            frame = frames[shape.link]
+            direction = up @ frame[..., :3, :3]
+            height = (direction @ shape.vertices.T).min(axis=-1) + frame[..., :3, 3] @ up
+            lowest = np.minimum(lowest, height)
+        return lowest
+
+    def box(self, links: Iterable[str], frames: dict[str, Floats]) -> tuple[Floats, Floats]:
+        """The corners (3,) of the box around `links` in all of the `frames` [m]."""
+        corners = [
+            np.einsum("nij,kj->nki", frames[link][:, :3, :3], hull.triangles.reshape(-1, 3))
+            + frames[link][:, None, :3, 3]
+            for link in links
+            for hull in self.hulls[link]
+        ]
+        points = np.concatenate([each.reshape(-1, 3) for each in [*corners, np.zeros((1, 3))]])
+        return points.min(axis=0), points.max(axis=0)
+
+
+def free_posture(gripper: SceneGripper, share: float) -> list[float]:
+    """Return the open posture with all free joints at this share of their ranges."""
+    free = {joint.name: joint for joint in gripper.free_joints}
+    return [
+        free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
+        if joint.name in free
+        else joint.opened
+        for joint in gripper.joints
+    ]
+
+
+class FreeJointLinks:
+    """The links that stand still while fingers close, on which others are mounted.
+
+    These mounts are the hand's root, and the links of its free joints.
+    """
+
+    def __init__(self, hand: HandGeometry) -> None:
+        self._root = hand.gripper.base_link
+        free = {joint.name for joint in hand.gripper.free_joints}
+        names = [joint.name for joint in hand.gripper.joints]
+        driven = {joint.name for joint in hand.gripper.joints if joint.driven}
+        frames = hand.frames(np.zeros((1, len(names))))
+        self._mounts: list[tuple[str, Floats, UrdfJoint, int]] = []
+        """Mount below, frame (4, 4) of the joint in its frame, joint, and the joint's place in a posture."""
+        self.mount_of = {self._root: self._root}
+        """The mount under each link."""
+        still = {self._root}
+        self.all_still = not free & driven
+        """True if all of them stand still: no free joint or joint below one is driven."""
+        for joint in hand.robot.joints_beyond(self._root):
+            below, is_free = self.mount_of[joint.parent], joint.name in free
+            self.mount_of[joint.child] = joint.child if is_free else below
+            if joint.parent in still and (is_free or joint.name not in names):
+                still.add(joint.child)
+            if is_free:
+                self.all_still = self.all_still and joint.parent in still
+                frame = np.linalg.inv(frames[below][0]) @ frames[joint.parent][0] @ joint.origin
+                self._mounts.append((below, frame, joint, names.index(joint.name)))
+
+    def frames(self, posture: Sequence[float]) -> dict[str, Floats]:
+        """Each mount's frame (4, 4) in the hand's, with the free joints as in `posture` [rad or m]."""
+        frames = {self._root: np.eye(4)}
+        for below, frame, joint, place in self._mounts:
+            frames[joint.child] = frames[below] @ frame @ joint.motion(posture[place])
+        return frames
+
+
+def neighbours(robot: Urdf) -> set[tuple[str, str]]:
+    """Return pairs of links, in order of name, with at most one moving joint between them."""
+    heads = {robot.root: robot.root}  # the first link of each link's rigid piece
+    carriers = {robot.root: robot.root}  # the first link of the piece that carries each
+    for joint in robot.joints_beyond(robot.root):
+        heads[joint.child] = joint.child if joint.moves else heads[joint.parent]
+        carriers.setdefault(heads[joint.child], heads[joint.parent])
+    return {
+        (one, other)
+        for one, head in heads.items()
+        for other, with_head in heads.items()
+        if one < other and (head == with_head or carriers[head] == with_head or carriers[with_head] == head)
+    }
+
+
+SAMPLE_POINTS = 1024
+STAGES = (slice(0, 64), slice(64, 256), slice(256, 1024))  # Points that are looked up one after the other
+POINTS_AT_ONCE = 1 << 15  # Points that are looked up at once: they fit in the cache
+DRAWN_POINTS = 4096  # Number of points that are drawn; those farthest apart are kept
+DEEP_SHARE = 0.4  # Share of points that are drawn from inside a part, and not from under its surface
+SURFACE_SCALE = 0.98  # Scale of a part's surface about its centre: points of the edge would be on either side
+
+
+class HandSurfaceSamples:
+    """Sample points of a hand, link by link."""
+
+    def __init__(self, hand: HandGeometry) -> None:
+        self._hand = hand
+        self._names = list(hand.hulls)
+        self._opened = hand.frames(np.array([[joint.opened for joint in hand.gripper.joints]]))
+        self._links, self._points = self._sample()
+        self._corners = {
+            name: np.unique(np.concatenate([hull.triangles.reshape(-1, 3) for hull in hulls]), axis=0)
+            for name, hulls in self._hand.hulls.items()
+            if hulls
+        }
+        """The corners (v, 3) [m] of the convex parts of each link, link frame."""
+
+    def points(self, postures: NDArray[np.float32], some: slice) -> Singles:
+        """`some` of the points in the hand frame [m], for joints at `postures` (n, j): (n, p, 3).
+
+        (1, p, 3) where the postures are all the same.
+        """
+        links, points = self._links[some], self._points[some]
+        if (postures == postures[:1]).all():
+            postures = postures[:1]
+        frames = self._hand.frames(postures.astype(np.float64))
+        placed = np.empty((len(postures), len(points), 3), dtype=np.float32)
+        for link in np.unique(links):
+            frame, of_link = frames[self._names[link]], links == link
+            placed[:, of_link] = points[of_link] @ np.moveaxis(frame[:, :3, :3], 1, 2) + frame[:, None, :3, 3]
+        return placed
+
+    def lowest(self, up: Floats, postures: NDArray[np.float32]) -> Floats:
+        """The least component (n,) [m] along `up` (n, 3) of the hand's convex parts, hand frame.
+
+        Its joints are at `postures` (n, j) [rad or m].
+        """
+        if (postures == postures[:1]).all():
+            postures = postures[:1]
+        frames = self._hand.frames(postures.astype(np.float64))
+        lowest = np.full(len(up), np.inf)
+        for name, corners in self._corners.items():
+            frame = frames[name]
+            along = np.stack([dot(frame[:, :3, axis], up) for axis in range(3)], axis=-1)
+            heights = dot(corners, along[:, None]).min(axis=1) + dot(frame[:, :3, 3], up)
+            lowest = np.minimum(lowest, heights)
+        return lowest
+
+    def _sample(self) -> tuple[NDArray[np.int64], Floats]:
+        """The link (1024,) and place (1024, 3) of each point, link frame [m]."""
+        random = np.random.default_rng(0)
+        parts = [(i, hull) for i, name in enumerate(self._names) for hull in self._hand.hulls[name]]
+        if not parts:
+            return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+        sizes = np.array([hull.areas.sum() for _, hull in parts])
+        counts = np.maximum(1, np.rint(DRAWN_POINTS * sizes / sizes.sum())).astype(np.int64)
+        points = [draw_points(hull, count, random) for (_, hull), count in zip(parts, counts, strict=True)]
+        links = np.repeat([link for link, _ in parts], counts)
+        together = np.concatenate(points)
+        apart = farthest_points(self._in_hand(links, together))
+        return links[apart], together[apart]
+
+    def _in_hand(self, links: NDArray[np.int64], points: Floats) -> Floats:
+        """The points (n, 3) of `links` (n,) in the frame of the open hand [m]."""
+        frames = np.stack([self._opened[name][0] for name in self._names])[links]
+        placed: Floats = np.einsum("nij,nj->ni", frames[:, :3, :3], points) + frames[:, :3, 3]
+        return placed
+
+
+def draw_points(hull: Hull, n: int, random: np.random.Generator) -> Floats:
+    """Draw points (n, 3) [m] that are inside a hull, most of them close under its surface."""
+    sizes = hull.areas
+    triangles = hull.triangles[random.choice(len(sizes), n, p=sizes / sizes.sum())]
+    weights = random.dirichlet((1.0, 1.0, 1.0), n)
+    centre = hull.triangles.reshape(-1, 3).mean(axis=0)
+    depth = np.where(random.random(n) < DEEP_SHARE, random.random(n) ** (1 / 3), 1.0) * SURFACE_SCALE
+    drawn: Floats = centre + depth[:, None] * ((weights[:, :, None] * triangles).sum(axis=1) - centre)
+    return drawn
+
+
+def farthest_points(points: Floats) -> NDArray[np.int64]:
+    """Choose at most 1024 of `points` (n, 3): each is the one farthest from those before it.
+
+    Greedy farthest-point sampling (Gonzalez 1985), so that the first points lie wide apart.
+    """
+    chosen = np.zeros(min(SAMPLE_POINTS, len(points)), dtype=np.int64)
+    distances = np.full(len(points), np.inf)
+    columns = np.ascontiguousarray(points.T)
+    for i in range(1, len(chosen)):
+        x, y, z = columns - columns[:, chosen[i - 1], None]
+        np.minimum(distances, x * x + y * y + z * z, out=distances)
+        chosen[i] = distances.argmax()
+    return chosen
