@@ -24,9 +24,15 @@ from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_folder import open_campaign
 from qdgrasp_tools.campaign.summary import RunSummary, run_summary
 from qdgrasp_tools.export.frames import frame_of
-from qdgrasp_tools.export.grasp_reader import GraspChoice, GraspReader, choose_grasps, read_run
-from qdgrasp_tools.export.grasp_set import Grasps, select_grasps
-from qdgrasp_tools.export.tabular import grasp_table, load_pandas
+from qdgrasp_tools.export.grasp_reader import (
+    GraspChoice,
+    GraspReader,
+    choose_grasps,
+    read_run,
+    select_grasps,
+)
+from qdgrasp_tools.export.grasp_set import Grasps
+from qdgrasp_tools.export.tabular import arrow_table, load_pandas
 
 
 class Run:
@@ -137,7 +143,7 @@ class Run:
         with self._folder.journal() as journal:
             chosen = choose_grasps(GraspReader(self._folder, journal), GraspChoice(min_fitness))
             for part in chosen:
-                yield grasp_table(part, frame_of(frame), {})
+                yield arrow_table(part.table(frame_of(frame)))
 
     def rows(self) -> Rows:
         """Return every row of the journal (n,), failures and trials too, as a structured array.

@@ -12,7 +12,7 @@ from qdgrasp_coordinator.storage.journal_schema import APPLICATION, FORMAT, Jour
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol.messages import VERSION as PROTOCOL
 from qdgrasp_protocol.rows import COLUMNS, Outcome, RowShape
-from qdgrasp_tools.export.isaac_moveit import VERSION as ISAAC
+from qdgrasp_tools.export.yaml_files import VERSION as ISAAC
 from qdgrasp_tools.monitor.prometheus import exposition
 
 

@@ -6,7 +6,6 @@ import sys
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 from packaging.requirements import Requirement
 from tests.golden.runs import RECORDED
@@ -17,7 +16,6 @@ import qdgrasp as api
 from qdgrasp_protocol.extras import EXTRAS, MissingPackage
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.cli.monitor_process import app as monitor_app
-from qdgrasp_tools.export.text_format import shortest_decimals
 
 ROOT = Path(__file__).parents[2]
 IMPORTED = {
@@ -95,21 +93,12 @@ def test_the_page_of_the_monitor_and_tables_in_programs_name_their_extras_too() 
 
 
 def test_a_data_set_names_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from qdgrasp_tools.campaign.campaign_export import export_campaign
+    from qdgrasp_tools.export.dataset import export_dataset
 
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(MissingPackage) as refused:
-        export_campaign(tmp_path, tmp_path / "made", "csv", None)  # type: ignore[arg-type]  # not looked at
+        export_dataset([], tmp_path / "made", "csv")
     check_refusal(refused.value, "A data set", "pyarrow", "export")
-
-
-def test_numbers_are_the_same_words_without_arrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    generator = np.random.default_rng(0)
-    some = generator.normal(size=2000) * 10.0 ** generator.integers(-12, 20, 2000)
-    numbers = np.concatenate([some, [0.0, -0.0, 1e16, 1e-5, 16777217.0, np.nan, np.inf, -np.inf]])
-    with_arrow = [shortest_decimals(numbers.astype(kind)) for kind in (np.float32, np.float64)]
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert [shortest_decimals(numbers.astype(kind)) for kind in (np.float32, np.float64)] == with_arrow
 
 
 def test_the_extras_are_those_of_the_distribution() -> None:

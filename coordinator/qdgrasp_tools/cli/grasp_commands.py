@@ -10,9 +10,7 @@ from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
-from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import OutFile
-from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import lifetime
@@ -28,7 +26,9 @@ if TYPE_CHECKING:
 
 
 def export(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder, or a campaign's.")],
+    directories: Annotated[
+        list[Path], typer.Argument(metavar="DIRS...", help="Folders of runs and of campaigns.")
+    ],
     name: Annotated[
         str,
         typer.Option("--format", help="One of isaac, acronym, graspgen, parquet, webdataset, moveit, csv."),
@@ -39,7 +39,7 @@ def export(
             "--out",
             "-o",
             metavar="OUT",
-            help="The file, for graspgen and campaigns a folder; those that it lies in are made.",
+            help="The file; for graspgen and several runs a folder.",
         ),
     ],
     min_fitness: Annotated[
@@ -86,78 +86,62 @@ def export(
         ),
     ] = None,
     meshes: Annotated[
-        str | None, typer.Option(metavar="copy|name", help="Of a campaign: copy meshes; default: name them.")
+        str | None,
+        typer.Option(metavar="copy|name", help="Of several runs: copy meshes; default: name them."),
     ] = None,
     split: Annotated[
         str | None,
-        typer.Option(metavar="SHARES", help="Of a campaign: share objects out, as in 80,10,10 (train, ...)."),
+        typer.Option(
+            metavar="SHARES", help="Of several runs: share objects out, as in 80,10,10 (train, ...)."
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
 ) -> None:
     """Write the grasps of a run to a file that other tools read,
-    or those of all runs of a campaign to one data set.
+    or those of several runs and campaigns to one data set.
 
-    Every file says which frames its poses are told in, the order of quaternions, scale, what success means,
-    and under which licence the assets are. A run that goes on gives what it has recorded by now. With
+    Every file says in which frames its poses are, the order of quaternions, scale, what success means, and
+    under which licence the assets are. A run in progress gives what it has recorded by now. With
     --approach-distance or --resting-pose those grasps are written that the open hand comes to, with the way
-    that it comes, as of a run that was asked for that. Of a
-    campaign OUT is a folder with an index and a card; flags choose from each run. If that is ended before,
-    the same command goes on.
+    that it comes, as of a run that was asked for that. Of several runs, or of a campaign, OUT is a folder
+    with an index and a card; flags choose from each run.
 
-    Example: qdgrasp export runs/demo --format isaac -o grasps.yaml
+    Example: qdgrasp export runs/mug-s0 runs/mug-s1 runs/campaign --format parquet -o grasps
     """  # noqa: D205  # typer joins the lines
     from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
-    from qdgrasp_tools.export.exporter import export_run  # takes its time to load
+    from qdgrasp_tools.export import dataset, exporter  # they take their time to load
     from qdgrasp_tools.export.grasp_reader import GraspChoice
 
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
     pose = options.resting_pose(resting_pose)
-    if JobFolder.is_job(directory) and JobFolder(directory).is_campaign:
-        from qdgrasp_tools.campaign import campaign_export  # takes its time to load
-
-        choice = GraspChoice(
-            min_fitness, min_quality, top, diverse, limits, holds_in, approach_distance, pose
-        )
-        shares = () if split is None else campaign_export.parse_shares(split)
-        with progress_messages() as tell, lifetime("qdgrasp export") as stop:
-            written = campaign_export.export_campaign(
-                directory,
+    choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in, approach_distance, pose)
+    folders = exporter.run_folders(directories)
+    is_one = len(directories) == 1 and [folder.path for folder in folders] == directories
+    if is_one and (meshes is not None or split is not None):
+        raise InputError("--meshes and --split are for several runs or a campaign; leave them out.")
+    with progress_messages() as tell, lifetime("qdgrasp export") as stop:
+        if is_one:
+            (folder,) = folders
+            written = exporter.export_run(
+                folder, out, name, choice, frame=frame, negatives=negatives, force=force, tell=tell
+            )
+        else:
+            written = dataset.export_dataset(
+                folders,
                 out,
                 name,
                 choice,
                 frame=frame,
                 negatives=negatives,
-                meshes=meshes or campaign_export.NAME,
-                shares=shares,
+                meshes=meshes or dataset.NAME,
+                shares=() if split is None else dataset.parse_shares(split),
                 force=force,
                 tell=tell,
                 is_stopped=lambda: stop.is_set,
             )
-        if not written:
-            echo(f"Stopped. Complete files are in {out}.part; the same command goes on.", err=True)
-            raise typer.Exit(stop.exit_code)
-        echo(written)
-        return
-    if meshes is not None or split is not None:
-        raise InputError("--meshes and --split are for a campaign's folder; leave them out.")
-    with progress_messages() as tell:
-        written = export_run(
-            RunFolder.open(directory),
-            out,
-            name,
-            min_fitness=min_fitness,
-            min_quality=min_quality,
-            top=top,
-            diverse=diverse,
-            limits=limits,
-            holds_in=holds_in,
-            approach_distance=approach_distance,
-            resting_pose=pose,
-            frame=frame,
-            negatives=negatives,
-            force=force,
-            tell=tell,
-        )
+    if not written:
+        echo("Stopped; nothing was written.", err=True)
+        raise typer.Exit(stop.exit_code)
     echo(written)
 
 
@@ -200,9 +184,9 @@ def import_(
 
     Example: qdgrasp import grasps.yaml --gripper panda --object mug -o poses.npz
     """  # noqa: D205  # typer joins the lines
-    from qdgrasp_tools.campaign.campaign_export import asset_name, is_dataset  # takes its time to load
+    from qdgrasp_tools.export.dataset import asset_name, is_dataset  # takes its time to load
     from qdgrasp_tools.export.frames import frame_of
-    from qdgrasp_tools.export.importer import hand_named, hand_notes, import_poses, object_frame
+    from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame
 
     output = OutFile(out, force=force, inputs=(file, Path(gripper), Path(object_)))
     output.check()
@@ -218,7 +202,7 @@ def import_(
     flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found, object_)
     flags |= {"poses": out, "out": out.with_name(f"{out.stem}-scores.npz")}
     found.write(output)
-    for note in (*found.mismatches, *found.notes, *hand_notes(gripper, found.imported.metadata)):
+    for note in (*found.mismatches, *found.notes):
         echo(note, err=True)
     words = [word for name, value in options.given(**flags).items() for word in (f"--{name}", str(value))]
     echo(f"{counted(len(found), 'pose')} written to {out}; this scores them:")

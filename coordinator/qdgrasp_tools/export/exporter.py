@@ -1,29 +1,31 @@
-"""Exports the selected grasps of a run: the table of formats, and `qdgrasp export`."""
+"""Exports grasps: of a run to a file, of several runs and campaigns to a data set."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
-from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits
+from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.extras import check_packages
-from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.export import acronym, graspgen, isaac_moveit, tabular
-from qdgrasp_tools.export.frames import frame_of
+from qdgrasp_tools.export import jaw_files, tabular, yaml_files
+from qdgrasp_tools.export.frames import Frame, frame_of
 from qdgrasp_tools.export.grasp_reader import (
     ALL_FAILURES,
+    ALL_GRASPS,
+    NOT_SETTLED,
     ChosenGrasps,
     GraspChoice,
     GraspReader,
+    PosePlaces,
     choose_grasps,
+    grasp_metadata,
     read_run,
 )
-from qdgrasp_tools.export.grasp_set import Grasps, select_grasps
-from qdgrasp_tools.export.metadata import NOT_SETTLED, GraspMetadata, PosePlaces, grasp_metadata
+from qdgrasp_tools.export.grasp_table import GraspMetadata, RunTable
 
 
 @dataclass(frozen=True)
@@ -31,10 +33,12 @@ class ExportFormat:
     """One format of files of grasps."""
 
     name: str
-    write: Callable[[Path, ChosenGrasps, GraspMetadata], None]
     suffix: str
     """Ending of its files; empty: it is a folder."""
     places: PosePlaces
+    write_table: Callable[[Path, RunTable], None] | None = None
+    """Writes all grasps at once; None: `write_parts` does, part by part."""
+    write_parts: Callable[[Path, Iterable[RunTable]], None] | None = None
     default_failures: int | None = 0
     """Failures that are written by default; None: the format has no place for them."""
     packages: tuple[str, ...] = ()
@@ -46,18 +50,12 @@ class ExportFormat:
             raise InputError(f"{self.name} has no place for failures; leave --negatives out.")
         return negatives if negatives is not None else self.default_failures or 0
 
-    def output(self, path: Path, *, force: bool = False) -> WholeOutput:
-        """Return the file or folder at a path; `force` replaces one of the same format."""
-        if self.suffix:
-            return OutFile(path, force=force)
-        return OutFolder(path, force=force, is_kind=graspgen.is_ours)
-
-
-def _at_once(
-    write: Callable[[Path, Grasps, GraspMetadata], None],
-) -> Callable[[Path, ChosenGrasps, GraspMetadata], None]:
-    """Have grasps written by a function that takes them all at once, in memory."""
-    return lambda path, chosen, metadata: write(path, chosen.whole, metadata)
+    def write(self, path: Path, chosen: ChosenGrasps, metadata: GraspMetadata) -> None:
+        """Write the chosen grasps of a run."""
+        if self.write_table:
+            self.write_table(path, chosen.whole.table(metadata.frame, metadata))
+        elif self.write_parts:
+            self.write_parts(path, (part.table(metadata.frame, metadata) for part in chosen))
 
 
 ISAAC_PLACES = PosePlaces(
@@ -81,17 +79,21 @@ MOVEIT_PLACES = PosePlaces("grasp_pose, pre_grasp_posture", "qdgrasp.grasps.sett
 FORMATS = {
     each.name: each
     for each in (
+        ExportFormat("isaac", ".yaml", ISAAC_PLACES, yaml_files.write_isaac, default_failures=None),
+        ExportFormat("acronym", ".h5", ACRONYM_PLACES, jaw_files.write_acronym, packages=("h5py",)),
         ExportFormat(
-            "isaac", _at_once(isaac_moveit.write_isaac), ".yaml", ISAAC_PLACES, default_failures=None
+            "graspgen",
+            "",
+            GRASPGEN_PLACES,
+            write_parts=jaw_files.write_graspgen,
+            default_failures=ALL_FAILURES,
         ),
-        ExportFormat("acronym", _at_once(acronym.write), ".h5", ACRONYM_PLACES, packages=("h5py",)),
-        ExportFormat("graspgen", graspgen.write, "", GRASPGEN_PLACES, default_failures=ALL_FAILURES),
-        ExportFormat("parquet", tabular.write_parquet, ".parquet", PARQUET_PLACES, packages=("pyarrow",)),
-        ExportFormat("webdataset", tabular.write_tar, ".tar", PARQUET_PLACES),
         ExportFormat(
-            "moveit", _at_once(isaac_moveit.write_moveit), ".yaml", MOVEIT_PLACES, default_failures=None
+            "parquet", ".parquet", PARQUET_PLACES, write_parts=tabular.write_parquet, packages=("pyarrow",)
         ),
-        ExportFormat("csv", _at_once(tabular.write_csv), ".csv", CSV_PLACES),
+        ExportFormat("webdataset", ".tar", PARQUET_PLACES, write_parts=tabular.write_tar),
+        ExportFormat("moveit", ".yaml", MOVEIT_PLACES, yaml_files.write_moveit, default_failures=None),
+        ExportFormat("csv", ".csv", CSV_PLACES, tabular.write_csv),
     )
 }
 
@@ -104,19 +106,22 @@ def format_of(name: str) -> ExportFormat:
     return FORMATS[name]
 
 
+def run_folders(directories: Sequence[Path]) -> list[RunFolder]:
+    """Return the runs in folders of runs and of campaigns, each once; raises FolderError for another."""
+    found = []
+    for directory in directories:
+        is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign
+        paths = JobFolder(directory).run_paths if is_campaign else [directory]
+        found += [RunFolder.open(path) for path in paths if not is_campaign or RunFolder.is_run(path)]
+    return list({folder.path.resolve(): folder for folder in found}.values())
+
+
 def export_run(
     folder: RunFolder,
     out: Path,
     name: str,
+    choice: GraspChoice = ALL_GRASPS,
     *,
-    min_fitness: int | None = None,
-    min_quality: float = 0.0,
-    top: int | None = None,
-    diverse: int | None = None,
-    limits: GraspLimits = NO_LIMITS,
-    holds_in: str | None = None,
-    approach_distance: float | None = None,
-    resting_pose: int | str | None = None,
     frame: str = "mesh",
     negatives: int | None = None,
     force: bool = False,
@@ -124,70 +129,49 @@ def export_run(
 ) -> str:
     """Write the chosen grasps of a run in the format of that name; returns a sentence about it.
 
-    The file or folder `out` appears whole or not at all; `force` lets it be replaced. `min_fitness`, `top`,
-    `diverse`, `limits` and `holds_in` are as in `select_grasps`; `min_quality` is a least confidence;
-    `approach_distance` [m] and `resting_pose` say how hands come to grasps, as in `GraspChoice`; poses are in
-    the object's `frame`, "mesh" or "com". At most `negatives` failures are written behind the grasps; None:
-    as many as is usual in the format. `tell` is called with each step that begins. Raises InputError if there
-    is no such format or frame, there is nothing to write, or it cannot be read or written.
+    The file or folder `out` appears whole or not at all; `force` lets it be replaced. Poses are in the
+    object's `frame`, "mesh" or "com". At most `negatives` failures are written behind the grasps; None: as
+    many as is usual in the format. `tell` is called with each step that begins. Raises InputError if there is
+    no such format or frame, there is nothing to write, or it cannot be read or written.
     """
     form, object_frame = format_of(name), frame_of(frame)
     wanted = form.failures(negatives)
-    choice = GraspChoice(
-        min_fitness, min_quality, top, diverse, limits, holds_in, approach_distance, resting_pose
-    )
-    output = form.output(out, force=force)
+    output: WholeOutput = OutFile(out, force=force)
+    if not form.suffix:
+        output = OutFolder(out, force=force, is_kind=jaw_files.is_graspgen)
     output.check()
     tell(f"reading {folder.path}")
     with folder.journal() as journal:
         chosen = choose_grasps(GraspReader(folder, journal), choice, wanted)
         if len(chosen) == chosen.failures:
-            raise InputError(_no_grasps(folder, choice))
+            raise InputError(_no_grasps(folder, choice, journal.count))
         tell(f"writing {counted(len(chosen), 'evaluation')} to {out}")
-        metadata = grasp_metadata(folder, chosen, object_frame, form.places)
+        metadata = grasp_metadata(chosen, object_frame, form.places)
         with output.writing() as made:
             form.write(made, chosen, metadata)
-    beside = f" and {counted(chosen.failures, 'failure')}" if wanted else ""
-    grasps_written = f"{counted(len(chosen) - chosen.failures, 'grasp')}{beside} written to {out}"
+    return _written(out, chosen, choice, metadata, object_frame)
+
+
+def _written(
+    out: Path, chosen: ChosenGrasps, choice: GraspChoice, metadata: GraspMetadata, frame: Frame
+) -> str:
+    beside = f" and {counted(chosen.failures, 'failure')}" if chosen.failures else ""
+    grasps = f"{counted(len(chosen) - chosen.failures, 'grasp')}{beside} written to {out}"
     note = f" But {NOT_SETTLED}." if metadata.settled == NOT_SETTLED else ""
-    if holds_in is not None:
+    if choice.holds_in is not None:
         unknown = counted(chosen.unknown, "grasp")
-        note += f" Left out: {unknown} whose verdict in {holds_in} is not known."
-    return f"{grasps_written}, poses in the object's {object_frame} frame.{note}"
+        note += f" Left out: {unknown} whose verdict in {choice.holds_in} is not known."
+    return f"{grasps}, poses in the object's {frame} frame.{note}"
 
 
-def _no_grasps(folder: RunFolder, choice: GraspChoice) -> str:
+def _no_grasps(folder: RunFolder, choice: GraspChoice, rows: int) -> str:
+    """Return why a run has nothing to write."""
     successes = read_run(folder)
     if not len(successes):
-        with folder.journal() as journal:
-            rows = counted(journal.count, "row")
-        return f"{folder.path} has no grasp to write: there is no success among {rows}."
+        return f"{folder.path} has no grasp to write: there is no success among {counted(rows, 'row')}."
     best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
-    if len(good := select_grasps(successes, choice.min_fitness)):
-        if choice.holds_in is not None:
-            found = good.verdicts_in(choice.holds_in)
-            held = int((found == Outcome.HELD).sum())
-            here = f"of {counted(len(good), 'grasp')} {held} hold in {choice.holds_in}"
-            good = good[found == Outcome.HELD]
-            if not len(good):
-                return f"{folder.path} has no such grasp: {here}, {int((found < 0).sum())} are not known."
-        check = choice.reachability(good.scene, good.spec)
-        if check is not None:
-            if not len(reached := select_grasps(good, 0, approach=check)):
-                return f"{folder.path} has no such grasp: of {counted(len(good), 'grasp')} none is reachable."
-            good = reached
-        admitted = choice.limits.admitted(good.rows, good.scene)
-        if admitted.any():
-            highest = good.confidence[admitted].max()
-            return (
-                f"{folder.path} has no grasp of this confidence: the best has {highest:.3g} "
-                "(--min-confidence)."
-            )
-        return (
-            f"{folder.path} has no grasp within these limits: {choice.limits.reason(good.rows, good.scene)}."
-        )
-    some = ", --min-fitness 1 all that survived some disturbance" if best > 1 else ""
     return (
-        f"{folder.path} has no grasp that survived as many disturbances: the best of its {many} has "
-        f"fitness {best}, and --min-fitness {best} writes those{some}."
+        f"{folder.path} has no such grasp: the best of its {many} has fitness {best} and confidence "
+        f"{successes.confidence.max():.3g}. --min-fitness 0 takes every success; other limits may be too "
+        "narrow."
     )

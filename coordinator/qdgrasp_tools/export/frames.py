@@ -99,22 +99,9 @@ class UniformSolid:
     """(3,) [m]: the centre of mass."""
 
     @property
-    def density(self) -> float:
-        """[kg/m3]."""
-        return self.mass / self.mesh.volume
-
-    @property
     def inertia(self) -> Floats:
-        """(3, 3) [kg m2]: about the centre of mass, along the axes of the mesh.
-
-        Integrals over the tetrahedra between triangles and centre (Tonon 2004, "Explicit exact formulas for
-        the 3-D tetrahedron inertia tensor in terms of its vertex coordinates").
-        """
-        a, b, c = np.moveaxis(self.mesh.corners - self.com, 1, 0)
-        volumes = np.einsum("ij,ij->i", np.cross(a, b), c) / 6
-        total = a + b + c
-        seconds = np.einsum("n,nki,nkj->ij", volumes, (s := np.stack([a, b, c, total], axis=1)), s) / 20
-        return np.asarray(self.density * (np.trace(seconds) * np.eye(3) - seconds))
+        """(3, 3) [kg m2]: about the centre of mass, along the axes of the mesh."""
+        return self.mass * self.mesh.inertia
 
 
 def object_solid(body: SceneObject, frame: Frame) -> UniformSolid:

@@ -1,47 +1,52 @@
-"""Reads and chooses grasps of a run from its journal, some thousands at a time."""
+"""Reads and chooses grasps of a run from its journal, some thousands at a time; describes them."""
 
+import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+import msgpack
+import msgspec
 import numpy as np
+from msgspec import UNSET
 from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.geometry.rotation import Floats, running_sum
+from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject, Vector, vector
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
-from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, takes_held
-from qdgrasp_coordinator.metrics.scores import genome_numbers, scored_successes
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
+from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, taken_mask, takes_held
+from qdgrasp_coordinator.metrics.scores import best_first, genome_numbers, scored_successes
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_bounds
 from qdgrasp_coordinator.storage.engine_table import TABLE, other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.run_folder import RunFolder, provenances
-from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.export.grasp_set import Grasps, join_grasps, select_grasps
+from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
+from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.rows import LIFT, Outcome, Rows, trial_count
+from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.text import join_numbers
+from qdgrasp_tools.export.frames import COM, Frame, scene_original_base, squared_distances
+from qdgrasp_tools.export.grasp_set import Grasps, join_grasps
+from qdgrasp_tools.export.grasp_table import (
+    FITNESS_MEANING,
+    LIFT_MEANING,
+    GraspMetadata,
+    RestingPoseRecord,
+    SourceRun,
+)
 
 if TYPE_CHECKING:
     from qdgrasp_assets.grippers.reachability import ReachabilityCheck
 
 
-class KnownEtas(NamedTuple):
-    """The scores of one source's successes with enough trials, in journal order."""
-
-    genomes: NDArray[np.unsignedinteger]
-    """(n,): their numbers (`genome_numbers`), ascending."""
-    eta: Floats
-    """(n,)."""
-    trials: NDArray[np.integer]
-    """(n,)."""
-
-
 def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
     """Read the nominal evaluations of a run that got as far as `least`, in journal order.
 
-    The run may go on: what is recorded by now is read. `DROPPED` gives all successes, `MISSED` all that were
-    simulated; a pruned or merged folder has kept successes alone. Raises FolderError if the folder cannot be
-    read, or has no scene yet.
+    The run may still be in progress: what is recorded by now is read. `DROPPED` gives all successes, `MISSED`
+    all that were simulated. Raises FolderError if the folder cannot be read, or has no scene yet.
     """
     with folder.journal() as journal:
         reader = GraspReader(folder, journal)
@@ -54,76 +59,64 @@ class GraspReader:
     Raises FolderError if the folder cannot be read, or has no scene yet.
     """
 
-    def __init__(self, folder: RunFolder, journal: Journal, engines: Iterable[str] = ()) -> None:
-        """Read with verdicts in `engines`, unknown without a table, and in those of its tables."""
+    def __init__(
+        self, folder: RunFolder, journal: Journal, engines: Iterable[str] = (), name: str = ""
+    ) -> None:
+        """Read with verdicts in `engines`, unknown without a table, and in those of its tables.
+
+        `name` is what the run is called; empty: as its folder.
+        """
         no_table = np.zeros(0, TABLE)
         self._tables = dict.fromkeys(engines, no_table) | other_tables(folder)
         self.approach: ReachabilityCheck | None = None
         """How hands are to come to the grasps that are read; None: it is not asked for."""
+        self.folder = folder
+        self.name = name or folder.path.absolute().name
+        self.journal = journal
         self.scene = folder.scene()
         self.spec = folder.spec
-        self._journal = journal
-        self._sources = tuple(provenances(folder, journal))
-        self._etas: dict[int, KnownEtas] = {}
 
     def blocks(self, least: Outcome = Outcome.DROPPED) -> Iterator[Grasps]:
         """Yield those that got as far as `least`, in journal order."""
-        for origin, source in enumerate(self._sources):
-            first = source.rows.start
-            for block in self._journal.kept(first, source.rows.stop) if source.rows else ():
-                here = np.flatnonzero((block["trial"] == 0) & (block["outcome"] >= least))
-                yield self._grasps(np.full(len(here), origin), first + here, take_rows(block, here))
-                first += len(block)
+        first = 0
+        for block in self.journal.kept():
+            here = np.flatnonzero((block["trial"] == 0) & (block["outcome"] >= least))
+            yield self._grasps(first + here, take_rows(block, here))
+            first += len(block)
 
     def at(self, numbers: NDArray[np.int64]) -> Grasps:
         """Read those with these numbers (n,) in the journal, in this order."""
         order = np.argsort(numbers, kind="stable")
-        wanted, parts = numbers[order], [self._journal.shape.empty(0)]
+        wanted, parts = numbers[order], [self.journal.shape.empty(0)]
         first = int(wanted[0]) if len(wanted) else 0
-        for block in self._journal.kept(first, int(wanted[-1]) + 1) if len(wanted) else ():
+        for block in self.journal.kept(first, int(wanted[-1]) + 1) if len(wanted) else ():
             low, high = np.searchsorted(wanted, (first, first + len(block)))
             parts.append(take_rows(block, wanted[low:high] - first))
             first += len(block)
-        rows = take_rows(join_rows(parts), np.argsort(order))
-        stops = [source.rows.stop for source in self._sources]
-        return self._grasps(np.searchsorted(stops, numbers, side="right"), numbers, rows)
+        return self._grasps(numbers, take_rows(join_rows(parts), np.argsort(order)))
 
-    def _grasps(self, origins: NDArray[np.int64], numbers: NDArray[np.int64], rows: Rows) -> Grasps:
+    def _grasps(self, numbers: NDArray[np.int64], rows: Rows) -> Grasps:
         etas, trials = np.full(len(rows), np.nan), np.zeros(len(rows), np.int64)
-        for origin in np.unique(origins).tolist():
-            known, here = self._known_etas(origin), np.flatnonzero(origins == origin)
-            if not len(known.eta):
-                continue
-            mine = genome_numbers(take_rows(rows, here))
-            places = np.minimum(np.searchsorted(known.genomes, mine), len(known.eta) - 1)
-            is_known = known.genomes[places] == mine
-            etas[here[is_known]] = known.eta[places[is_known]]
-            trials[here[is_known]] = known.trials[places[is_known]]
+        genomes, known_etas, known_trials = self._known_etas
+        if len(genomes) and len(rows):
+            mine = genome_numbers(rows)
+            places = np.minimum(np.searchsorted(genomes, mine), len(genomes) - 1)
+            is_known = genomes[places] == mine
+            etas[is_known], trials[is_known] = known_etas[places[is_known]], known_trials[places[is_known]]
         elsewhere = {name: verdicts(table, numbers, rows["outcome"]) for name, table in self._tables.items()}
-        return Grasps(
-            self.scene,
-            self.spec,
-            self._sources,
-            origins,
-            numbers,
-            rows,
-            etas,
-            trials,
-            elsewhere,
-            self.approach,
-        )
+        return Grasps(self.scene, self.spec, self.name, numbers, rows, etas, trials, elsewhere, self.approach)
 
-    def _known_etas(self, origin: int) -> KnownEtas:
-        if origin not in self._etas:
-            source, plan = self._sources[origin], TrialPlan.of(self._sources[origin].spec)
-            blocks = self._journal.kept(source.rows.start, source.rows.stop) if source.rows else ()
-            empty = self._journal.shape.empty(0)
-            found = [
-                (genome_numbers(rows), plan.eta(rows["fitness"]), rows["trial"])
-                for rows in (empty, *(scored_successes(blocks, plan) if plan.stages else ()))
-            ]
-            self._etas[origin] = KnownEtas(*map(np.concatenate, zip(*found, strict=True)))
-        return self._etas[origin]
+    @cached_property
+    def _known_etas(self) -> tuple[NDArray[np.generic], Floats, NDArray[np.generic]]:
+        """The genomes of successes with enough trials, ascending, and their eta and trials (n,)."""
+        plan = TrialPlan.of(self.spec)
+        scored = scored_successes(self.journal.kept(), plan) if plan.stages else ()
+        found = [
+            (genome_numbers(rows), plan.eta(rows["fitness"]), rows["trial"])
+            for rows in (self.journal.shape.empty(0), *scored)
+        ]
+        genomes, eta, trials = map(np.concatenate, zip(*found, strict=True))
+        return genomes, eta, trials
 
 
 PART_ROWS = 8192  # Grasps that are in memory at a time, with all their columns
@@ -163,6 +156,70 @@ class GraspChoice:
         return ReachabilityCheck.asked(scene, spec, self.approach_distance, self.resting_pose)
 
 
+ALL_GRASPS = GraspChoice()
+
+
+def select_grasps(
+    grasps: Grasps,
+    min_fitness: float | None = None,
+    top: int | None = None,
+    diverse: int | None = None,
+    limits: GraspLimits = NO_LIMITS,
+    holds_in: str | None = None,
+    approach: "ReachabilityCheck | None" = None,
+) -> Grasps:
+    """Select grasps that are good and within limits, of these the best, of these spread ones.
+
+    `min_fitness` is the least number of disturbances survived in the nominal evaluation; 0 takes all
+    successes, None is as of `taken_mask`. `top` takes so many at most, best first (`best_first`: by the
+    lower bound of eta where eta is known, then by fitness and margin); `diverse` takes so many at most, each
+    as far as can be from those before it (`spread_places`), the best one first. Without both, grasps are in
+    journal order. `holds_in` takes those that hold in this engine, by the run's table of it, `approach` those
+    whose hands come to their poses. Raises ImpossibleValue for other numbers, UnknownName for another engine,
+    and InputError where there is no such table.
+    """
+    for name, value in (("min_fitness", min_fitness), ("top", top), ("diverse", diverse)):
+        if value is not None:
+            _check_number(name, value, whole=name != "min_fitness")
+    chosen = grasps[grasps.is_success & taken_mask(grasps.rows, grasps.spec, min_fitness)]
+    if holds_in is not None:
+        chosen = chosen[chosen.verdicts_in(holds_in) == Outcome.HELD]
+    chosen = chosen[limits.admitted(chosen.rows, chosen.scene)]
+    if approach is not None:
+        chosen = replace(chosen, approach=approach)
+        chosen = chosen[chosen.reach.is_reachable]
+    if top is None and diverse is None:
+        return chosen
+    bounds = eta_bounds(chosen.eta, np.maximum(chosen.trials, 1))[0]
+    chosen = chosen[best_first(chosen.rows, chosen.scene.object, top or 1, bounds)[:top]]
+    return chosen if diverse is None else chosen[spread_places(chosen, diverse)]
+
+
+def _check_number(name: str, value: object, *, whole: bool) -> None:
+    kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
+    if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value < np.inf:
+        raise ImpossibleValue(name, value, f"{'an integer' if whole else 'a number'} not less than 0")
+
+
+def spread_places(grasps: Grasps, most: int) -> NDArray[np.int64]:
+    """Choose at most `most` well-spread grasps: the first, then ever the farthest from those.
+
+    The distance of two hands is the root of the sum of two squares: the distance of their root links, and the
+    way that a point at the hand's reach from its root link moves when the one hand is turned as the other, 2
+    reach sin(angle / 2). A jaw turned by 180 degrees about its approach axis is the same jaw. Of equally far
+    ones the first is taken (Gonzalez 1985, "Clustering to minimize the maximum intercluster distance").
+    """
+    poses, hand = grasps.poses(COM), grasps.scene.gripper
+    nearest = np.full(len(poses), np.inf)
+    chosen: list[int] = []
+    while len(chosen) < min(most, len(poses)):
+        place = int(np.argmax(nearest)) if chosen else 0
+        chosen.append(place)
+        nearest = np.minimum(nearest, squared_distances(poses, poses[place], hand))
+        nearest[place] = -1.0
+    return np.array(chosen, dtype=np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class ChosenGrasps:
     """Grasps that were chosen from a run, read part by part each time they are iterated."""
@@ -181,11 +238,7 @@ class ChosenGrasps:
         return len(self.index)
 
     def __iter__(self) -> Iterator[Grasps]:
-        return self.after(0)
-
-    def after(self, count: int) -> Iterator[Grasps]:
-        """Yield those behind the first so many, part by part."""
-        for first in range(count, len(self), PART_ROWS):
+        for first in range(0, len(self), PART_ROWS):
             yield self.reader.at(self.index["number"][first : first + PART_ROWS])
 
     @property
@@ -271,3 +324,130 @@ def _index(grasps: Grasps) -> NDArray[np.void]:
     for name in CHOSEN.names or ():
         index[name] = grasps.numbers if name == "number" else getattr(grasps, name)
     return index
+
+
+ETA_WORDS = (
+    "the share of disturbances survived in all trials with disturbed pose and friction, "
+    "the estimated probability of transfer"
+)
+MESH_FILE = "the mesh file"
+MESH_WRITTEN = "the mesh that `qdgrasp export --format graspgen --frame mesh` writes"
+"""Mesh of an object that is built in or from the asset path."""
+OBJECT_FRAMES: dict[Frame, str] = {
+    "mesh": "that of {}: its origin and axes, its lengths times object_scale",
+    "com": "origin at the centre of mass, axes of {}",
+}
+PREGRASP_WORDS = "the commanded pose with open joints, before closing"
+SETTLED_WORDS = "the settled pose with the joints after closing"
+CONTACT_WORDS = "after closing: point on the object, unit normal into it, force along the normal"
+NOT_SETTLED = "this run was recorded before settled poses were; the grasp pose is the commanded one"
+XYZW = "x, y, z, w"
+MICROMETRE = 6  # Decimals of a length [m]
+
+
+@dataclass(frozen=True)
+class PosePlaces:
+    """Places of the two poses and the contacts in a format."""
+
+    pregrasp: str
+    grasp: str
+    contacts: str = ""
+    """Empty: the format has no place for them."""
+
+
+def _settled_words(grasps: ChosenGrasps) -> str:
+    """Say of how many successes the settled pose was recorded."""
+    known, successes = np.count_nonzero(grasps.is_settled), np.count_nonzero(grasps.is_success)
+    if not known:
+        return NOT_SETTLED
+    if known == successes:
+        return "recorded of every success"
+    return f"recorded of {known} of {successes} successes; the grasp pose of the others is the commanded one"
+
+
+def grasp_metadata(grasps: ChosenGrasps, frame: Frame, places: PosePlaces) -> GraspMetadata:
+    """Make the metadata of a file of grasps from a run's folder, in a frame of the object."""
+    scene = grasps.scene
+    hand, body = scene.gripper, scene.object
+    file = Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else ""
+    check, origin = grasps.approach, (0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh
+    journal, folder = grasps.reader.journal, grasps.reader.folder
+    spec = _public_spec(folder.spec)
+    runs = (SourceRun(run=grasps.reader.name, digest=journal_digest(journal), spec=spec),)
+    return GraspMetadata(
+        qdgrasp=version("qdgrasp"),
+        gripper=hand.name,
+        gripper_frame=hand.base_link,
+        gripper_axes=f"those of link '{hand.base_link}'; it approaches along "
+        f"({join_numbers(hand.approach_axis)})",
+        gripper_source=_printable(hand.source),
+        gripper_licence=_printable(hand.licence),
+        gripper_sha256=part_digest(hand),
+        original_base=scene_original_base(hand) or UNSET,
+        object=body.name,
+        object_file=file,
+        object_scale=1.0 if grasps.spec.scale is None else grasps.spec.scale,
+        object_frame=OBJECT_FRAMES[frame].format(MESH_FILE if file else MESH_WRITTEN),
+        frame=frame,
+        object_com=origin,
+        com_in_mesh=body.com_in_mesh,
+        object_size=vector(np.subtract(scene.object_high, scene.object_low).round(MICROMETRE)),
+        object_mass=body.mass,
+        object_friction=body.lateral_friction,
+        object_source=_printable(body.source),
+        object_licence=_printable(body.licence),
+        object_sha256=part_digest(body),
+        collision_parts=body.collision_source,
+        quaternions=XYZW,
+        protocol=scene.protocol,
+        fitness=LIFT_MEANING if scene.protocol == LIFT else FITNESS_MEANING,
+        min_fitness=grasps.min_fitness,
+        confidence=_confidence_words(grasps.spec),
+        pregrasp_pose=f"{PREGRASP_WORDS}: {places.pregrasp}",
+        grasp_pose=f"{SETTLED_WORDS}: {places.grasp}",
+        contacts=f"{CONTACT_WORDS}: {places.contacts}" if places.contacts else "not in this format",
+        settled=_settled_words(grasps),
+        approach_distance=UNSET if check is None else check.distance,
+        resting_poses=_resting_poses(check, origin) if check and check.poses else UNSET,
+        scene=journal.scene,
+        runs=runs,
+    )
+
+
+def _resting_poses(check: "ReachabilityCheck", origin: Vector) -> tuple[RestingPoseRecord, ...]:
+    """Return resting poses in a frame in which the centre of mass is at `origin` [m]."""
+    return tuple(
+        RestingPoseRecord(
+            number=number,
+            up=pose.up,
+            height=round(pose.height + running_sum(a * b for a, b in zip(pose.up, origin, strict=True)), 6),
+            probability=pose.probability,
+        )
+        for number, pose in check.poses.items()
+    )
+
+
+def _confidence_words(spec: RunSpec) -> str:
+    share = f"fitness / {spec.disturbances}"
+    if not trial_count(spec.protocol):
+        return share
+    base = "" if spec.base == "paper" else f" under {spec.base}"
+    trials = " or ".join(map(str, spec.stages))
+    return f"eta{base} of {trials} trials, {ETA_WORDS}; where it is not known {share}"
+
+
+def _public_spec(spec: RunSpec) -> str:
+    """Write a spec without the folders of its author's files, and without poses."""
+    names = {name: Path(getattr(spec, name)).name for name in ("gripper", "object")}
+    return to_toml(msgspec.structs.replace(spec, poses=None, **names))
+
+
+def part_digest(part: SceneGripper | SceneObject) -> str:
+    """Return the sha256 over the bytes of a part of a scene, as they are in its bundle."""
+    values = msgspec.to_builtins(part, builtin_types=(bytes,), order="sorted")
+    return hashlib.sha256(msgpack.packb(values, use_bin_type=True)).hexdigest()
+
+
+def _printable(text: str) -> str:
+    """Remove control characters, which formats have no place for; lines stay."""
+    return "".join(letter for letter in text if letter.isprintable() or letter == "\n")

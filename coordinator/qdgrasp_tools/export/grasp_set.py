@@ -12,24 +12,19 @@ from qdgrasp_assets.geometry.rotation import Floats, rotate, unit
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
 from qdgrasp_coordinator.metrics.grasp_quality import (
-    NO_LIMITS,
-    GraspLimits,
     contact_values,
     object_motion,
     recorded_margins,
     settled_mask,
     settled_poses,
-    taken_mask,
 )
-from qdgrasp_coordinator.metrics.scores import best_first
-from qdgrasp_coordinator.metrics.trial_schedule import eta_bounds, eta_error
+from qdgrasp_coordinator.metrics.trial_schedule import eta_error
 from qdgrasp_coordinator.search.fixed_poses import as_given, opened
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import Verdicts
-from qdgrasp_coordinator.storage.run_folder import Provenance
 from qdgrasp_protocol.engines import ENGINES, engine_names
-from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
-from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows
+from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.rows import LIFT, NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.export.frames import (
@@ -38,9 +33,9 @@ from qdgrasp_tools.export.frames import (
     Frame,
     change_frame,
     frame_of,
-    squared_distances,
     to_matrices,
 )
+from qdgrasp_tools.export.grasp_table import LIFT_MEANING, GraspColumn, GraspContacts, GraspMetadata, RunTable
 
 if TYPE_CHECKING:  # scipy takes its time
     from trimesh import Scene as TrimeshScene
@@ -48,6 +43,12 @@ if TYPE_CHECKING:  # scipy takes its time
     from qdgrasp_assets.grippers.reachability import Reach, ReachabilityCheck
 
 GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
+
+
+JOINT, PREGRASP = "joint.", "pregrasp."  # Prefixes of columns of joints; the joint's name follows
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+SETTLED = "settled_"  # Prefix of columns of the settled pose
+OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
 
 
 class Grasp(NamedTuple):
@@ -131,26 +132,6 @@ class Grasp(NamedTuple):
         return grasp_card(self.arrays)
 
 
-CONTACT_FIELDS = ("link", "x", "y", "z", "nx", "ny", "nz", "force")
-"""Fields of one contact in files: the hand's link, point [m], normal, force [N]."""
-
-
-class GraspContacts(NamedTuple):
-    """Contacts of n grasps in k slots each; empty slots hold zeros.
-
-    `Grasps.contacts` are in the object's centre-of-mass frame.
-    """
-
-    links: NDArray[np.uint8]
-    """(n, k): the hand's link, counted from 1 in `SceneGripper.links`; 0: no contact in this slot."""
-    points: Floats
-    """(n, k, 3) [m], on the object."""
-    normals: Floats
-    """(n, k, 3), unit, into the object."""
-    forces: Floats
-    """(n, k) [N], along the normal."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Grasps:
     """Evaluations of one scene, as arrays of n lines.
@@ -161,11 +142,9 @@ class Grasps:
 
     scene: Scene
     spec: RunSpec
-    """Spec of the run's folder."""
-    sources: tuple[Provenance, ...]
-    """The runs that found them: one, but for a merged folder."""
-    origins: NDArray[np.int64]
-    """(n,): index of the source that each comes from."""
+    """Spec of the run."""
+    run: str
+    """Name of the run's folder."""
     numbers: NDArray[np.int64]
     """(n,): the rows' numbers in the journal."""
     rows: Rows
@@ -196,7 +175,6 @@ class Grasps:
             return self._grasp(places)
         return replace(
             self,
-            origins=self.origins[places],
             numbers=self.numbers[places],
             rows=take_rows(self.rows, places),
             eta=self.eta[places],
@@ -278,8 +256,10 @@ class Grasps:
             is_known = (len(own) == 1) | (outcomes == Outcome.HELD)
             return np.where(is_known, outcomes, np.int8(-1))
         if engine not in self.elsewhere:
-            mend = f"run 'qdgrasp verify DIR --engine {engine} --all' first"
-            raise InputError(f"Which grasps hold in {engine} is not known of this run: {mend}.")
+            raise InputError(
+                f"Which grasps hold in {engine} is not known of this run: run "
+                f"'qdgrasp verify DIR --engine {engine} --all' first."
+            )
         return np.asarray(self.elsewhere[engine]["outcome"])
 
     @cached_property
@@ -295,12 +275,7 @@ class Grasps:
     @cached_property
     def starts(self) -> NDArray[np.float32]:
         """(n, d): genomes of the prior `given` that evaluate to these very rows, bit for bit."""
-        columns = 7 + bool(self.synergy_names) + len(self.scene.gripper.free_joints)
-        starts = np.zeros((len(self), columns), np.float32)
-        for origin, source in enumerate(self.sources):
-            here = self.origins == origin
-            starts[here] = as_given(self.scene, prior_of(source.spec), self.rows[here])
-        return starts
+        return as_given(self.scene, prior_of(self.spec), self.rows)
 
     @cached_property
     def pregrasp(self) -> NDArray[np.float32]:
@@ -342,7 +317,7 @@ class Grasps:
 
     @cached_property
     def is_settled(self) -> NDArray[np.bool_]:
-        """(n,): True where the settled pose is recorded: of successes, later than 0.1.0."""
+        """(n,): True where the settled pose is recorded: of successes."""
         return settled_mask(self.rows)
 
     @cached_property
@@ -412,9 +387,96 @@ class Grasps:
         The columns are those of `qdgrasp export --format parquet` (docs/formats.md), with poses in the
         object's `frame`. Raises InputError where pandas is not installed, UnknownName for another frame.
         """
-        from qdgrasp_tools.export.tabular import data_frame, grasp_table  # pyarrow takes its time
+        from qdgrasp_tools.export.tabular import arrow_table, load_pandas  # pyarrow takes its time
 
-        return data_frame(grasp_table(self, frame_of(frame), {}))
+        load_pandas()
+        return arrow_table(self.table(frame_of(frame))).to_pandas()
+
+    def table(self, frame: Frame = MESH, metadata: GraspMetadata | None = None) -> RunTable:
+        """Return the grasps as files have them, with poses in a frame of the object."""
+        settled = np.where(self.is_settled[:, None], self.settled_poses(frame), np.nan)
+        names = np.array([*self.synergy_names, ""])
+        has_table = self.approach is not None and bool(self.approach.poses)
+        return RunTable(
+            names=self.numbers.astype(str),
+            poses=self.poses(frame),
+            frame=frame,
+            joint_names=self.joint_names,
+            pregrasp=self.pregrasp,
+            synergies=names[self.synergies],
+            confidence=self.confidence,
+            metadata=metadata,
+            scene=self.scene,
+            base_to_object=self.rows["base_to_object"],
+            settled=settled,
+            joints=self.joints,
+            contacts=self.contacts_in(frame),
+            columns={column.name: column for column in self._columns(frame, settled)},
+            approach=None if self.approach is None else self.approach_poses(frame),
+            resting_poses=self.resting_poses if has_table else None,
+        )
+
+    def _columns(self, frame: Frame, settled: Floats) -> Iterator[GraspColumn]:
+        """Yield every value as a column; `settled` (n, 7) are the settled poses, NaN where unknown."""
+        rows, poses = self.rows, self.poses(frame)
+        yield GraspColumn("number", self.numbers, "the row's number in the journal, from 0")
+        yield GraspColumn("run", np.full(len(self), self.run), "name of the run that found it")
+        yield GraspColumn("generation", rows["generation"], "of the search")
+        yield GraspColumn("index", rows["index"], "in the generation")
+        yield GraspColumn("outcome", OUTCOMES[rows["outcome"]], "how the evaluation ended")
+        survived = "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 pushes"
+        yield GraspColumn("fitness", self.fitness, LIFT_MEANING if self.scene.protocol == LIFT else survived)
+        for name, verdicts in self.elsewhere.items():
+            words = np.append(OUTCOMES, "")[verdicts["outcome"]]  # -1, not known, is the last
+            yield GraspColumn(f"{name}_outcome", words, f"how it ended in {name}; none: not evaluated there")
+            yield GraspColumn(f"{name}_fitness", verdicts["fitness"], f"disturbances survived in {name}")
+        yield GraspColumn("eta", self.eta, "estimated probability of transfer; none where it is not known")
+        error = "standard error of eta, for the number of trials alone; none where eta is not known"
+        yield GraspColumn("eta_error", self.eta_error, error)
+        yield GraspColumn("trials", self.trials, "disturbed trials that eta is of")
+        yield GraspColumn("confidence", self.confidence, "0 to 1, higher is better")
+        for begin, kind, of in (("", "commanded", poses), (SETTLED, "settled", settled)):
+            for name, values in zip(POSE, of.T, strict=True):
+                length = f"hand's root link in the object's frame, {kind} pose [m]"
+                yield GraspColumn(begin + name, values, length if len(name) == 1 else "its quaternion")
+        for name, joint, start in zip(self.joint_names, self.joints.T, self.pregrasp.T, strict=True):
+            yield GraspColumn(JOINT + name, joint, "joint after closing, at the settled pose [rad or m]")
+            yield GraspColumn(
+                PREGRASP + name, start, "joint before closing, at the commanded pose [rad or m]"
+            )
+        way, angle = self.motion.T
+        yield GraspColumn("motion_mm", 1e3 * way, "way of the object in the hand while it closed [mm]")
+        yield GraspColumn("motion_deg", np.degrees(angle), "its turn meanwhile [deg]")
+        synergies = np.array([*self.synergy_names, ""])[self.synergies]
+        yield GraspColumn("synergy", synergies, "synergy that closes the hand; none: all driven joints")
+        aims = rows["surface_point"].astype(np.float64)
+        offset = np.zeros(3) if frame == COM else np.array(self.scene.object.com_in_mesh)
+        aims = np.where(aims.any(axis=1, keepdims=True), aims + offset, np.nan)
+        for name, values in zip("xyz", aims.T, strict=True):
+            yield GraspColumn(f"aim_{name}", values, "surface point that was aimed at, object's frame [m]")
+        yield GraspColumn("nu", rows["nu"], "angle of its normal to the direction to the hand [rad]")
+        yield GraspColumn("contacts", rows["contacts"], "finger links that touch after closing")
+        yield GraspColumn("penetration", rows["penetration"], "deepest after closing [m]")
+        yield GraspColumn("margin", self.margin, "Ferrari-Canny margin of the contacts; none: not known")
+        if self.approach is not None:
+            yield from self._approach_columns(frame, has_table=bool(self.approach.poses))
+
+    def _approach_columns(self, frame: Frame, *, has_table: bool) -> Iterator[GraspColumn]:
+        """Yield how hands come to the commanded poses."""
+        for name, values in zip("xyz", self.approach_directions.T, strict=True):
+            yield GraspColumn(f"approach_{name}", values, "direction in which the hand comes, object's frame")
+        for name, values in zip("xyz", self.approach_poses(frame).T[:3], strict=True):
+            start = "where it comes from, turned as at the commanded pose, object's frame [m]"
+            yield GraspColumn(f"approach_from_{name}", values, start)
+        is_clear = self.reach.is_clear.astype(np.uint8)
+        yield GraspColumn("approach_clear", is_clear, "1: it touches nothing on its way")
+        if has_table:
+            words = np.array([" ".join(map(str, numbers)) for numbers in self.resting_poses], dtype=str)
+            yield GraspColumn(
+                "resting_poses", words, "the object's resting poses in which it comes above the table"
+            )
+            share = "probability of these resting poses"
+            yield GraspColumn("resting_probability", self.reach.probability, share)
 
     def _repr_html_(self) -> str:
         from qdgrasp_tools.export.grasp_pictures import grasps_card  # takes its time to load
@@ -426,7 +488,6 @@ def join_grasps(parts: Sequence[Grasps]) -> Grasps:
     """Join grasps of one run, one behind the other."""
     return replace(
         parts[0],
-        origins=np.concatenate([part.origins for part in parts]),
         numbers=np.concatenate([part.numbers for part in parts]),
         rows=join_rows([part.rows for part in parts]),
         eta=np.concatenate([part.eta for part in parts]),
@@ -435,64 +496,3 @@ def join_grasps(parts: Sequence[Grasps]) -> Grasps:
             name: np.concatenate([part.elsewhere[name] for part in parts]) for name in parts[0].elsewhere
         },
     )
-
-
-def select_grasps(
-    grasps: Grasps,
-    min_fitness: float | None = None,
-    top: int | None = None,
-    diverse: int | None = None,
-    limits: GraspLimits = NO_LIMITS,
-    holds_in: str | None = None,
-    approach: "ReachabilityCheck | None" = None,
-) -> Grasps:
-    """Select grasps that are good and within limits, of these the best, of these spread ones.
-
-    `min_fitness` is the least number of disturbances survived in the nominal evaluation; 0 takes all
-    successes, None is as of `taken_mask`. `top` takes so many at most, best first (`best_first`: by the
-    lower bound of eta where eta is known, then by fitness and margin); `diverse` takes so many at most, each
-    as far as can be from those before it (`spread_places`), the best one first. Without both, grasps are in
-    journal order. `holds_in` takes those that hold in this engine, by the run's table of it, `approach` those
-    whose hands come to their poses. Raises ImpossibleValue for other numbers, UnknownName for another engine,
-    and InputError where there is no such table.
-    """
-    for name, value in (("min_fitness", min_fitness), ("top", top), ("diverse", diverse)):
-        if value is not None:
-            _check_number(name, value, whole=name != "min_fitness")
-    chosen = grasps[grasps.is_success & taken_mask(grasps.rows, grasps.spec, min_fitness)]
-    if holds_in is not None:
-        chosen = chosen[chosen.verdicts_in(holds_in) == Outcome.HELD]
-    chosen = chosen[limits.admitted(chosen.rows, chosen.scene)]
-    if approach is not None:
-        chosen = replace(chosen, approach=approach)
-        chosen = chosen[chosen.reach.is_reachable]
-    if top is None and diverse is None:
-        return chosen
-    bounds = eta_bounds(chosen.eta, np.maximum(chosen.trials, 1))[0]
-    chosen = chosen[best_first(chosen.rows, chosen.scene.object, top or 1, bounds)[:top]]
-    return chosen if diverse is None else chosen[spread_places(chosen, diverse)]
-
-
-def _check_number(name: str, value: object, *, whole: bool) -> None:
-    kinds = (int, np.integer) if whole else (int, float, np.integer, np.floating)
-    if isinstance(value, bool) or not isinstance(value, kinds) or not 0 <= value < np.inf:
-        raise ImpossibleValue(name, value, f"{'an integer' if whole else 'a number'} not less than 0")
-
-
-def spread_places(grasps: Grasps, most: int) -> NDArray[np.int64]:
-    """Choose at most `most` well-spread grasps: the first, then ever the farthest from those.
-
-    The distance of two hands is the root of the sum of two squares: the distance of their root links, and the
-    way that a point at the hand's reach from its root link moves when the one hand is turned as the other, 2
-    reach sin(angle / 2). A jaw turned by 180 degrees about its approach axis is the same jaw. Of equally far
-    ones the first is taken (Gonzalez 1985, "Clustering to minimize the maximum intercluster distance").
-    """
-    poses, hand = grasps.poses(COM), grasps.scene.gripper
-    nearest = np.full(len(poses), np.inf)
-    chosen: list[int] = []
-    while len(chosen) < min(most, len(poses)):
-        place = int(np.argmax(nearest)) if chosen else 0
-        chosen.append(place)
-        nearest = np.minimum(nearest, squared_distances(poses, poses[place], hand))
-        nearest[place] = -1.0
-    return np.array(chosen, dtype=np.int64)

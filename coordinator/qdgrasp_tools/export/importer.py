@@ -18,25 +18,21 @@ from qdgrasp_assets.catalog import check_object, find_gripper, find_object, obje
 from qdgrasp_assets.geometry.rotation import Floats, conjugate
 from qdgrasp_assets.object_model import read_solid
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_coordinator.metrics.arrays import bounded_memory
 from qdgrasp_coordinator.storage.outputs import OutFile
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.extras import check_packages
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import first_few
-from qdgrasp_tools.export import acronym, graspgen, isaac_moveit, tabular
-from qdgrasp_tools.export.dataset_card import INDEX_CSV, INDEX_PARQUET, read_index
+from qdgrasp_tools.export import dataset, jaw_files, tabular, yaml_files
 from qdgrasp_tools.export.frames import COM, MESH, Frame, change_frame, jaw_turn, turn_hand_axes
-from qdgrasp_tools.export.imported_grasps import (
-    LONGEST,
-    ImportedGrasps,
+from qdgrasp_tools.export.grasp_table import (
+    GraspMetadata,
+    GraspTable,
     UnreadableGrasps,
-    check_grasps,
     check_positions,
-    decode_json,
-    decode_metadata,
+    check_table,
 )
-from qdgrasp_tools.export.metadata import GraspMetadata, part_digest
 
 
 @dataclass(frozen=True)
@@ -71,9 +67,6 @@ def object_frame(name: str, scale: float | None = None) -> ObjectFrame:
 KNOWN_FORMATS = (
     "ACRONYM (HDF5 or JSON), GraspGen JSON, Isaac Grasp YAML, and Parquet that `qdgrasp export` wrote"
 )
-LARGEST_FILE = 1 << 32  # Bytes of a file that is read
-LARGEST_JSON = 1 << 29  # The same of JSON, which takes more room in memory than on the disk
-HEAD_BYTES = 4096
 
 
 class ImportFormat(NamedTuple):
@@ -81,120 +74,78 @@ class ImportFormat(NamedTuple):
 
     fits: Callable[[bytes], bool]
     """Returns True for the first bytes of a file of this format."""
-    read: Callable[[Path], ImportedGrasps]
+    read: Callable[[Path], GraspTable]
     packages: tuple[str, ...] = ()
     """Packages of extras that read it."""
 
 
-def read_grasp_file(path: Path) -> ImportedGrasps:
-    """Read and check the grasps in a file of any known format."""
-    head = _read_head(path)
-    for reader in READERS:
-        if reader.fits(head):
-            check_packages(str(path), *reader.packages)
-            try:
-                with bounded_memory(path):
-                    imported = reader.read(path)
-                check_grasps(path, imported)
-            except MemoryError:
-                raise UnreadableGrasps(path, "there is not enough memory for it") from None
-            return imported
-    raise UnreadableGrasps(path, f"it is of none of the formats that are read: {KNOWN_FORMATS}")
+def read_grasp_file(path: Path) -> GraspTable:
+    """Read and check the grasps in a file of any known format; raises UnreadableGrasps."""
+    if path.is_dir():
+        one = "name one of its objects with --of" if dataset.is_dataset(path) else "name a file in it"
+        raise UnreadableGrasps(path, f"it is a folder; {one}")
+    try:
+        with path.open("rb") as file:
+            head = file.read(64)
+    except OSError as error:
+        raise UnreadableGrasps(path, (error.strerror or str(error)).lower()) from None
+    if not head.strip():
+        raise UnreadableGrasps(path, "it is empty")
+    reader = next((each for each in READERS if each.fits(head)), None)
+    if reader is None:
+        raise UnreadableGrasps(path, f"it is of none of the formats that are read: {KNOWN_FORMATS}")
+    check_packages(str(path), *reader.packages)
+    return _checked(path, lambda: reader.read(path))
 
 
-def read_dataset(folder: Path, gripper: str, object_: str) -> ImportedGrasps:
+def _checked(path: Path, read: Callable[[], GraspTable]) -> GraspTable:
+    """Read and check grasps; whatever a damaged file makes of its reader is one sentence."""
+    try:
+        table = read()
+        check_table(path, table)
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001  # of h5py, pyarrow, yaml, msgspec and numpy
+        raise UnreadableGrasps(path, f"it is damaged, or not of its format ({error})") from None
+    return table
+
+
+def read_dataset(folder: Path, gripper: str, object_: str) -> GraspTable:
     """Read and check the grasps of a hand on an object in a data set of Parquet.
 
     `gripper` and `object_` are as its index has them. Raises UnreadableGrasps.
     """
     check_packages(f"The data set {folder}", "pyarrow")
-    import pyarrow as pa
-
-    try:
-        with bounded_memory(folder):
-            imported = _dataset_grasps(folder, gripper, object_)
-    except MemoryError:
-        raise UnreadableGrasps(folder, "there is not enough memory for it") from None
-    except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
-        raise UnreadableGrasps(folder, f"it is no data set of Parquet, or damaged ({error})") from None
-    check_grasps(folder, imported)
-    return imported
+    return _checked(folder, lambda: _dataset_grasps(folder, gripper, object_))
 
 
-def _dataset_grasps(folder: Path, gripper: str, object_: str) -> ImportedGrasps:
+def _dataset_grasps(folder: Path, gripper: str, object_: str) -> GraspTable:
     found = [
         line
-        for line in read_index(folder)
+        for line in dataset.read_index(folder)
         if line["gripper"] == gripper and line["object"] == object_ and line["rows"]
     ]
     if not found:
-        reason = f"its {INDEX_CSV} has no grasp of gripper '{gripper}' on object '{object_}'"
+        reason = f"its {dataset.INDEX_CSV} has no grasp of gripper '{gripper}' on object '{object_}'"
         raise UnreadableGrasps(folder, reason)
-    told = [decode_metadata(folder, line["about"]) for line in found]
+    told = [msgspec.json.decode(line["about"], type=GraspMetadata) for line in found]
     if len({each.object_sha256 for each in told}) > 1:
         raise UnreadableGrasps(folder, f"it has different objects that are called '{object_}'")
-    runs = tuple(run for each in told for run in each.runs)
-    files = dict.fromkeys(name for line in found for name in line["files"])
-    metadata = msgspec.structs.replace(told[0], runs=runs)
-    return tabular.read_shards(folder, files, gripper, object_, metadata)
-
-
-def _read_head(path: Path) -> bytes:
-    """Read the first bytes of a file, if it is one that may be read."""
-    try:
-        if (path / INDEX_PARQUET).is_file():
-            raise UnreadableGrasps(path, "it is a data set of many objects; name one of them with --of")
-        if path.is_dir():
-            raise UnreadableGrasps(
-                path, f"it is a folder; of one that is for GraspGen name the JSON in {graspgen.DATA}"
-            )
-        if path.exists() and not path.is_file():
-            raise UnreadableGrasps(path, "it is no ordinary file")
-        with path.open("rb") as file:
-            head = file.read(HEAD_BYTES)
-        size = path.stat().st_size
-    except OSError as error:
-        raise UnreadableGrasps(path, (error.strerror or str(error)).lower()) from None
-    if not head.strip():
-        raise UnreadableGrasps(path, "it is empty")
-    if size > LARGEST_FILE:
-        raise UnreadableGrasps(path, f"it is larger than {LARGEST_FILE >> 30} GiB")
-    return head
-
-
-class JsonKeys(msgspec.Struct):
-    """The key by which formats of JSON are told apart."""
-
-    grasps: msgspec.Raw = msgspec.Raw(b"")
-
-
-def _read_json(path: Path) -> ImportedGrasps:
-    if path.stat().st_size > LARGEST_JSON:
-        raise UnreadableGrasps(path, f"it is JSON, and larger than {LARGEST_JSON >> 20} MiB")
-    payload = path.read_bytes()
-    is_nested = bool(bytes(decode_json(path, payload, JsonKeys).grasps))
-    return graspgen.read(path, payload) if is_nested else acronym.read_json(path, payload)
-
-
-def _refuse_csv(path: Path) -> ImportedGrasps:
-    reason = "it is CSV of `qdgrasp export`, which is not read back; export parquet instead"
-    raise UnreadableGrasps(path, reason)
+    files = dict.fromkeys(folder / name for line in found for name in line["files"])
+    metadata = msgspec.structs.replace(told[0], runs=tuple(run for each in told for run in each.runs))
+    return tabular.read_shards(files, gripper, object_, metadata)
 
 
 READERS = (
-    ImportFormat(lambda head: head.startswith(b"# qdgrasp: "), _refuse_csv),
-    ImportFormat(lambda head: head.startswith(b"\x89HDF\r\n\x1a\n"), acronym.read, ("h5py",)),
-    ImportFormat(lambda head: head.startswith(tabular.MAGIC), tabular.read_parquet, ("pyarrow",)),
-    ImportFormat(lambda head: head.lstrip().startswith(b"{"), _read_json),
-    ImportFormat(lambda head: b"\0" not in head, isaac_moveit.read_isaac),
+    ImportFormat(lambda head: head.startswith(b"\x89HDF\r\n\x1a\n"), jaw_files.read_acronym, ("h5py",)),
+    ImportFormat(lambda head: head.startswith(b"PAR1"), tabular.read_parquet, ("pyarrow",)),
+    ImportFormat(lambda head: head.lstrip().startswith(b"{"), jaw_files.read_json),
+    ImportFormat(lambda head: b"\0" not in head and head[:1] != b"#", yaml_files.read_isaac),
 )
 POSE_TOLERANCE = 1e-9  # Two lengths that differ by less are the same [m]
 VALUE_TOLERANCE = 1e-6  # Two scales that differ by a smaller share are the same
 SAME_OBJECT = 0.02
-"""Difference of sides and centre of mass, as a share of the largest side, up to which two objects are one.
-
-Remeshing moves surfaces by 0.26 % of it (docs/objects.md).
-"""
+"""Difference of sides and centre of mass, as a share of the largest side, up to which two objects are one."""
 MOST_SHOWN = 5  # Names in a note, at most
 
 
@@ -208,7 +159,7 @@ class ImportedPoses:
     """Differences from what the file says, a sentence each."""
     mismatches: tuple[str, ...]
     """Reasons why the file is of another hand or object, a sentence each; known of files of ours alone."""
-    imported: ImportedGrasps
+    imported: GraspTable
     """The grasps as the file gives them."""
 
     def __len__(self) -> int:
@@ -234,12 +185,14 @@ def import_poses(
     imported = read_dataset(path, hand.name, of) if of and path.is_dir() else read_grasp_file(path)
     metadata = imported.metadata
     if metadata and frame not in (None, metadata.frame):
-        reason = f"it says that its poses are told in the object's {metadata.frame} frame; leave --frame out"
+        reason = f"it says that its poses are in the object's {metadata.frame} frame; leave --frame out"
         raise UnreadableGrasps(path, reason)
     poses = _root_poses(imported, hand, body, frame)
     check_positions(path, imported.names, poses)
     unknown = np.full(len(imported), np.nan)  # the open posture
-    free = [imported.start_positions.get(joint.name, unknown) for joint in hand.free_joints]
+    columns = () if imported.pregrasp is None else imported.pregrasp.T
+    starts = dict(zip(imported.joint_names, columns, strict=False))
+    free = [starts.get(joint.name, unknown) for joint in hand.free_joints]
     arrays: dict[str, NDArray[np.generic]] = {
         "base_position": poses[:, :3].astype(np.float32),
         "base_quaternion_xyzw": poses[:, 3:].astype(np.float32),
@@ -251,7 +204,6 @@ def import_poses(
     notes, mismatches = list(_notes(imported, hand, body)), list[str]()
     if metadata:
         mismatches += _object_mismatches(metadata, body)
-        notes += () if mismatches else _changed_mesh(metadata, body)
     if other := _other_hand(imported, hand):
         here = f"link '{hand.base_link}' of gripper '{hand.name}'"
         if metadata:
@@ -261,9 +213,7 @@ def import_poses(
     return ImportedPoses(arrays, tuple(notes), tuple(mismatches), imported)
 
 
-def _root_poses(
-    imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame, frame: Frame | None
-) -> Floats:
+def _root_poses(imported: GraspTable, hand: SceneGripper, body: ObjectFrame, frame: Frame | None) -> Floats:
     """Return the poses (n, 7) of the root link, in the centre-of-mass frame."""
     poses = imported.poses
     if imported.has_jaw_axes:
@@ -275,7 +225,7 @@ def _root_poses(
     return change_frame(change_frame(poses, known, source, MESH), body.com_in_mesh, MESH, COM)
 
 
-def _synergy_labels(path: Path, imported: ImportedGrasps, hand: SceneGripper) -> NDArray[np.int64]:
+def _synergy_labels(path: Path, imported: GraspTable, hand: SceneGripper) -> NDArray[np.int64]:
     """Return the label (n,) of each synergy; without one all driven joints close."""
     names = [synergy.name for synergy in hand.synergies]
     if imported.synergies is None:
@@ -288,7 +238,7 @@ def _synergy_labels(path: Path, imported: ImportedGrasps, hand: SceneGripper) ->
     return np.array([labels[name] for name in imported.synergies.tolist()], dtype=np.int64)
 
 
-def _notes(imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame) -> Iterator[str]:
+def _notes(imported: GraspTable, hand: SceneGripper, body: ObjectFrame) -> Iterator[str]:
     is_built_in = imported.metadata is not None and not imported.metadata.object_file
     scale = imported.scale
     if scale is not None and abs(scale / body.scale - 1) > VALUE_TOLERANCE and not is_built_in:
@@ -297,29 +247,18 @@ def _notes(imported: ImportedGrasps, hand: SceneGripper, body: ObjectFrame) -> I
             f"it is the same mesh, add --scale {scale:.16g}."
         )
     known = {joint.name for joint in hand.joints}
-    if unknown := [
-        name for name in dict.fromkeys((*imported.start_positions, *imported.joints)) if name not in known
-    ]:
+    if unknown := [name for name in imported.joint_names if name not in known]:
         some = first_few(unknown, MOST_SHOWN)
-        yield f"The file names joints that gripper '{hand.name}' does not have: {some}; they are left aside."
+        yield f"The file names joints that gripper '{hand.name}' does not have: {some}; they are ignored."
 
 
-def _changed_mesh(metadata: GraspMetadata, body: ObjectFrame) -> Iterator[str]:
-    """Yield a sentence if the same object has its centre of mass elsewhere."""
-    if (shift := _com_shift(metadata, body)) >= POSE_TOLERANCE:
-        yield (
-            f"The object '{metadata.object[:LONGEST]}' of the file has its centre of mass elsewhere in its "
-            f"mesh, by {1000 * shift:.2g} mm: its mesh was changed, as --simplify does."
-        )
-
-
-def _other_hand(imported: ImportedGrasps, hand: SceneGripper) -> str:
+def _other_hand(imported: GraspTable, hand: SceneGripper) -> str:
     """Return the beginning of a sentence on a file of another hand; empty: it is of this one."""
     if imported.gripper in (None, hand.name) and imported.link in (None, hand.base_link):
         return ""
-    link = "" if imported.link is None else f" of link '{imported.link[:LONGEST]}'"
-    owner = "" if imported.gripper is None else f" of gripper '{imported.gripper[:LONGEST]}'"
-    return f"The file tells poses{link}{owner}"
+    link = "" if imported.link is None else f" of link '{imported.link}'"
+    owner = "" if imported.gripper is None else f" of gripper '{imported.gripper}'"
+    return f"The file has poses{link}{owner}"
 
 
 def _com_shift(metadata: GraspMetadata, body: ObjectFrame) -> float:
@@ -329,27 +268,13 @@ def _com_shift(metadata: GraspMetadata, body: ObjectFrame) -> float:
 
 def _object_mismatches(metadata: GraspMetadata, body: ObjectFrame) -> Iterator[str]:
     """Yield in which ways a file is of another object, by its size and centre of mass."""
-    name, size = metadata.object[:LONGEST], metadata.object_size
-    sides = body.extents if body.extents is not None else size
-    largest = float(np.max(sides)) if sides is not None else 0.0
-    if size and body.extents is not None and np.abs(body.extents - size).max() > SAME_OBJECT * largest:
+    name, size = metadata.object, metadata.object_size
+    largest = float(np.max(size if body.extents is None else body.extents))
+    if body.extents is not None and np.abs(body.extents - size).max() > SAME_OBJECT * largest:
         here, there = (" x ".join(f"{side:.4f}" for side in each) for each in (body.extents, size))
         yield f"The object '{name}' of the file is {there} m large, and the one named here {here} m."
     if _com_shift(metadata, body) > max(SAME_OBJECT * largest, POSE_TOLERANCE):
         yield (
             f"The object '{name}' of the file has its centre of mass elsewhere in its mesh, "
             "so it is not the same object."
-        )
-
-
-def hand_notes(name: str, metadata: GraspMetadata | None) -> Iterator[str]:
-    """Yield a sentence if a hand has changed since a file of ours was written."""
-    if not (metadata and metadata.gripper_sha256 and metadata.runs):
-        return
-    gripper = find_gripper(name)
-    hand = gripper.on_carrier(metadata.runs[0].asked.nominal_protocol)
-    if hand.name == metadata.gripper and part_digest(hand) != metadata.gripper_sha256:
-        yield (
-            f"The gripper '{hand.name}' is not what it was when the file was written by version "
-            f"{metadata.qdgrasp[:LONGEST]}: joints, shapes or words about it have changed."
         )

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_tools.export.graspgen import DATA, INDEX_FILE
-from qdgrasp_tools.export.imported_grasps import UnreadableGrasps
+from qdgrasp_tools.export.grasp_table import UnreadableGrasps
 from qdgrasp_tools.export.importer import ImportedPoses
+from qdgrasp_tools.export.jaw_files import DATA, INDEX_FILE
 
 COM = np.array([0.01, 0.02, 0.03])
 POSITION, TURN = [0.1, -0.2, 0.3], Rotation.from_euler("xyz", [20, -50, 130], degrees=True)

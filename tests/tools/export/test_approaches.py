@@ -20,8 +20,8 @@ from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.campaign.ranking import reachable_grasps
 from qdgrasp_tools.export.exporter import FORMATS, export_run
-from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
-from qdgrasp_tools.export.grasp_set import Grasps, select_grasps
+from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run, select_grasps
+from qdgrasp_tools.export.grasp_set import Grasps
 
 POSES = {
     "from above": (Rotation.from_euler("x", 180, degrees=True), (0.0, 0.0, 0.12)),
@@ -102,7 +102,7 @@ def test_a_reranking_takes_those_that_are_reachable(made: RunFolder) -> None:
 
 def written(run: RunFolder, tmp_path: Path, name: str) -> Path:
     out = tmp_path / f"out{FORMATS[name].suffix}"
-    export_run(run, out, name, approach_distance=WAY, resting_pose="any")
+    export_run(run, out, name, GraspChoice(approach_distance=WAY, resting_pose="any"))
     return out
 
 

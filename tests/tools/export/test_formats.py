@@ -1,12 +1,9 @@
 """Every format, by independent readers; and the metadata in its files."""
 
-import dataclasses
-import hashlib
 import json
 from pathlib import Path
 
 import h5py
-import msgpack
 import msgspec
 import numpy as np
 import pyarrow.parquet
@@ -15,7 +12,7 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 from tests.coordinator.recorded_runs import record
-from tests.tools.export.conftest import COM, MakeRun, random_rows
+from tests.tools.export.conftest import COM, random_rows
 from tests.tools.export.foreign_files import imported_file
 from tests.tools.export.independent_readers import (
     CONTACTS,
@@ -29,20 +26,19 @@ from tests.tools.export.independent_readers import (
 )
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import from_toml
-from qdgrasp_tools.export import acronym, importer
+from qdgrasp_tools.export import importer
 from qdgrasp_tools.export.exporter import FORMATS, export_run
-from qdgrasp_tools.export.grasp_reader import read_run
+from qdgrasp_tools.export.grasp_reader import NOT_SETTLED, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
+from qdgrasp_tools.export.grasp_table import GraspMetadata
 from qdgrasp_tools.export.importer import ObjectFrame
-from qdgrasp_tools.export.metadata import NOT_SETTLED, GraspMetadata, grasp_metadata
 
 ACROSS = Rotation.from_euler("z", 90, degrees=True)
 """The jaw's own axes open along y; turned by this first, they open along x."""
 each_format = pytest.mark.parametrize("name", FORMATS)
-PLACES = FORMATS["acronym"].places
 
 
 @pytest.fixture
@@ -115,19 +111,6 @@ def test_every_file_says_frames_units_success_and_licences(run: RunFolder, tmp_p
 
 
 @each_format
-def test_a_licence_of_several_lines_and_with_control_characters_is_kept_in_its_lines(
-    make_run: MakeRun, scene: Scene, tmp_path: Path, name: str
-) -> None:
-    hand = msgspec.structs.replace(scene.gripper, licence="BSD-3\nCopyright\0 \x1b somebody")
-    rows = random_rows(scene, [Outcome.HELD] * 2)
-    run = record(tmp_path / "run", msgspec.structs.replace(scene, gripper=hand), rows, method="contact_rand")
-    export_run(run, tmp_path / "out", name)
-    assert len(READERS[name](tmp_path / "out").quality) == 2
-    said = words_of(tmp_path / "out", name)["gripper_licence"]
-    assert said == "BSD-3" if name == "csv" else said == "BSD-3\nCopyright  somebody"
-
-
-@each_format
 def test_a_file_of_a_centred_hand_says_where_its_original_base_link_is(scene, tmp_path, name) -> None:
     centred = (
         '<link name="palm_centre"/><joint name="palm_centre_joint" type="fixed">'
@@ -142,29 +125,6 @@ def test_a_file_of_a_centred_hand_says_where_its_original_base_link_is(scene, tm
     position = said["position"] if isinstance(said, dict) else said
     assert "palm" in str(said)
     assert "-0.08" in str(position)
-
-
-def test_a_built_in_object_has_the_frame_of_a_mesh_that_can_be_had(run: RunFolder, grasps: Grasps) -> None:
-    told = grasp_metadata(run, grasps, "mesh", PLACES)
-    spec = msgspec.structs.replace(grasps.spec, object="mug")
-    assert told.object_frame.startswith("that of the mesh file: ")
-    built_in = grasp_metadata(run, dataclasses.replace(grasps, spec=spec), "mesh", PLACES)
-    assert built_in.object_frame.startswith("that of the mesh that `qdgrasp export --format graspgen")
-
-
-@each_format
-def test_a_file_has_the_spec_of_the_run_and_the_digests_of_all_that_it_is_of(run, tmp_path, name) -> None:
-    export_run(run, tmp_path / "out", name)
-    with run.journal() as journal:
-        expected = journal_digest(journal)
-    said, held = words_of(tmp_path / "out", name), msgpack.unpackb(run.bundle().payload)
-    for part in ("gripper", "object"):
-        assert said[f"{part}_sha256"] == hashlib.sha256(msgpack.packb(held[part])).hexdigest()
-    if name == "csv":
-        assert (said["run"], said["  digest"]) == ("run", expected)
-    else:
-        assert [(one["run"], one["digest"]) for one in said["runs"]] == [("run", expected)]
-        assert 'method = "contact_rand"' in said["runs"][0]["spec"]
 
 
 @each_format
@@ -270,17 +230,6 @@ def test_joints_have_names(run: RunFolder, grasps: Grasps, tmp_path: Path, name:
     np.testing.assert_allclose(start, np.full((len(grasps), 2), 0.04), rtol=1e-7)
 
 
-def test_isaac_names_grasps_by_their_numbers_and_frames_by_both_spellings_and_has_no_lists_of_nothing(
-    run: RunFolder, grasps: Grasps, tmp_path: Path
-) -> None:
-    export_run(run, tmp_path / "out", "isaac")
-    told = READERS["isaac"](tmp_path / "out").beside
-    assert list(told["grasps"]) == [f"grasp_{number}" for number in grasps.numbers]
-    assert told["gripper_frame"] == told["gripper_frame_link"] == "palm"
-    assert told["object_frame"] == told["object_frame_link"] == "block"
-    assert list(told["qdgrasp"]["grasps"]) == ["fitness", "margin", "penetration"]
-
-
 def test_an_acronym_file_says_what_the_object_weighs(run: RunFolder, scene: Scene, tmp_path: Path) -> None:
     export_run(run, tmp_path / "out", "acronym")
     told = READERS["acronym"](tmp_path / "out").beside
@@ -289,13 +238,6 @@ def test_an_acronym_file_says_what_the_object_weighs(run: RunFolder, scene: Scen
     box = trimesh.creation.box((0.04, 0.05, 0.06))
     assert told["volume"] == pytest.approx(box.volume)
     np.testing.assert_allclose(told["inertia"], box.moment_inertia * 0.1 / box.volume, rtol=1e-6, atol=1e-15)
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device here that is always full")
-def test_an_acronym_file_on_a_full_disk_is_an_ordinary_error(run: RunFolder, grasps: Grasps) -> None:
-    with pytest.raises(OSError, match="No space left on device") as error:
-        acronym.write(Path("/dev/full"), grasps, grasp_metadata(run, grasps, "mesh", PLACES))
-    assert error.value.strerror == "No space left on device"
 
 
 @pytest.mark.parametrize("name", sorted(TURNED))

@@ -1,0 +1,344 @@
+"""The table of grasps that every file format is written from and read into, and its metadata."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec import UNSET, Struct, UnsetType
+from numpy.typing import NDArray
+
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.grippers.gripper_file import OriginalBase
+from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.search.fixed_poses import FARTHEST
+from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_protocol.spec import RunSpec, from_toml
+from qdgrasp_protocol.text import join_numbers
+from qdgrasp_tools.export.frames import Frame, jaw_turn, to_matrices, turn_hand_axes
+
+SUCCESS_WORDS = "a finger touches the object after closing"
+GRASP_WORDS = "a success that survives at least one disturbance: fitness 1 or more"
+FITNESS_MEANING = (
+    "disturbances survived in the nominal evaluation: 0 to 2 shakes, in `physical` 0 to 6 pushes; "
+    "higher is better"
+)
+LIFT_MEANING = "1: the hand lifted the object off the table and held it there; else 0"
+UNITS = "m, rad, kg, N"
+CONTACT_FIELDS = ("link", "x", "y", "z", "nx", "ny", "nz", "force")
+"""Fields of one contact in files: the hand's link, point [m], normal, force [N]."""
+MATRIX_WORDS = "none: rotations are matrices, columns are the axes of the hand"
+
+
+class UnreadableGrasps(InputError):
+    """A file that no grasps can be read from; lines of the reason become one."""
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f"No grasps can be read from '{path}': {' '.join(reason.split()).rstrip('.')}.")
+
+
+class SourceRun(Struct, frozen=True, kw_only=True):
+    """A run that found grasps of a file."""
+
+    run: str
+    """The name of its folder."""
+    digest: str
+    """The sha256 over its rows, as `qdgrasp digest` prints it; of a run in progress by now."""
+    spec: str
+    """Its spec as TOML, without folders of its files and without given poses."""
+
+    @property
+    def asked(self) -> RunSpec:
+        """The spec as it was asked for."""
+        return from_toml(self.spec, self.run)
+
+
+class RestingPoseRecord(Struct, frozen=True, kw_only=True):
+    """A way in which the object rests on a table."""
+
+    number: int
+    """Its number in `qdgrasp asset resting-poses`."""
+    up: tuple[float, float, float]
+    """Unit vector in the object's frame that points away from the table."""
+    height: float
+    """Component along `up` of the table's points, in the frame of the poses [m]."""
+    probability: float
+
+
+class GraspMetadata(Struct, frozen=True, kw_only=True):
+    """Metadata of a file of grasps. Lengths are metres."""
+
+    qdgrasp: str
+    """The version that wrote it."""
+    gripper: str
+    gripper_frame: str
+    """The hand's link that has the poses."""
+    gripper_axes: str
+    """Orientation of the pose's axes on that link."""
+    gripper_source: str
+    """"built in", "asset path" or a file's name."""
+    gripper_licence: str
+    gripper_sha256: str
+    """Digest of its part of a scene bundle."""
+    original_base: OriginalBase | UnsetType = UNSET
+    """The base link of the hand's own URDF in `gripper_frame`, where that link was added to the hand.
+
+    A pose of it is a pose of `gripper_frame` times this one (`frames.original_base_poses`).
+    """
+    object: str
+    object_file: str
+    """The mesh file's name; empty for an object that is built in or from the asset path."""
+    object_scale: float
+    """Factor of the lengths in the mesh file, to metres."""
+    object_frame: str
+    """Meaning of `frame` in words."""
+    frame: Frame
+    object_com: tuple[float, float, float]
+    """The centre of mass in that frame [m]."""
+    com_in_mesh: tuple[float, float, float]
+    """The centre of mass in the frame of the mesh [m]: mesh = com + this."""
+    object_size: tuple[float, float, float]
+    """Sides of its bounding box, axes of the mesh [m]."""
+    object_mass: float
+    """[kg]."""
+    object_friction: float
+    """Lateral friction coefficient."""
+    object_source: str
+    object_licence: str
+    object_sha256: str
+    """Digest of its part of a scene bundle."""
+    collision_parts: str
+    """Source of the convex parts that were simulated."""
+    quaternions: str
+    """Order of their components in this file."""
+    units: str = UNITS
+    protocol: str
+    success: str = SUCCESS_WORDS
+    grasp: str = GRASP_WORDS
+    fitness: str = FITNESS_MEANING
+    min_fitness: int
+    """Least fitness of the grasps that were taken."""
+    confidence: str
+    """Its meaning, 0 to 1; higher is better."""
+    pregrasp_pose: str
+    """Place of the commanded poses with open joints."""
+    grasp_pose: str
+    """Place of the settled poses with the joints after closing."""
+    contacts: str
+    """Place and meaning of the contacts."""
+    settled: str
+    """Whether settled poses and contacts were recorded."""
+    approach_distance: float | UnsetType = UNSET
+    """Distance from which hands come to the commanded poses [m]; absent: not looked at, as the next one."""
+    resting_poses: tuple[RestingPoseRecord, ...] | UnsetType = UNSET
+    """Ways in which the object rests on a table, as far as they were looked at; absent: there was none."""
+    scene: str
+    """sha256 of the scene bundle."""
+    runs: tuple[SourceRun, ...]
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The fields as plain values."""
+        return dict(msgspec.to_builtins(self))
+
+    @property
+    def json(self) -> str:
+        """The fields as one JSON object."""
+        return msgspec.json.encode(self).decode()
+
+
+class GraspContacts(NamedTuple):
+    """Contacts of n grasps in k slots each; empty slots hold zeros."""
+
+    links: NDArray[np.uint8]
+    """(n, k): the hand's link, counted from 1 in `SceneGripper.links`; 0: no contact in this slot."""
+    points: Floats
+    """(n, k, 3) [m], on the object."""
+    normals: Floats
+    """(n, k, 3), unit, into the object."""
+    forces: Floats
+    """(n, k) [N], along the normal."""
+
+
+class GraspColumn(NamedTuple):
+    """One column of values with a line for each grasp."""
+
+    name: str
+    values: NDArray[np.generic]
+    """(n,): numbers, NaN where one is missing, or words, empty where one is missing."""
+    meaning: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GraspTable:
+    """Grasps of a hand on an object as a file has them, n lines; None: the file does not say it."""
+
+    names: NDArray[np.str_]
+    """(n,): of grasps of ours the rows' numbers in the journal."""
+    poses: Floats
+    """(n, 7): the commanded pose of the hand, x y z [m] and quaternion xyzw, in the object's frame."""
+    has_jaw_axes: bool = False
+    """True: the hand's axes are +z toward the object and x across the jaw, not its root link's."""
+    frame: Frame | None = None
+    """The object's frame that poses are given in."""
+    gripper: str | None = None
+    link: str | None = None
+    """The hand's link that has the poses."""
+    joint_names: tuple[str, ...] = ()
+    pregrasp: NDArray[np.floating] | None = None
+    """(n, j): joints that hands start from [rad or m], NaN where one is unknown."""
+    synergies: NDArray[np.str_] | None = None
+    """(n,): the synergy that closes the hand, empty where all driven joints do."""
+    confidence: Floats | None = None
+    scale: float | None = None
+    """Factor of the lengths of the object's mesh."""
+    mass: float | None = None
+    """Mass of the object [kg]."""
+    friction: float | None = None
+    """Lateral friction coefficient of the object."""
+    metadata: GraspMetadata | None = None
+    """Metadata of a file of ours."""
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RunTable(GraspTable):
+    """Grasps of a run, with all that was recorded of them; what every writer is given."""
+
+    frame: Frame
+    pregrasp: NDArray[np.floating]
+    synergies: NDArray[np.str_]
+    confidence: Floats
+    scene: Scene
+    base_to_object: NDArray[np.float32]
+    """(n, 7): the commanded poses as they were simulated, in the centre-of-mass frame."""
+    settled: Floats
+    """(n, 7): the pose of the root link after closing; NaN where it was not recorded."""
+    joints: NDArray[np.floating]
+    """(n, j): finger joints after closing [rad or m]."""
+    contacts: GraspContacts
+    """Contacts after closing, points in `frame`."""
+    columns: dict[str, GraspColumn]
+    """Every value of a grasp as columns, by name."""
+    approach: Floats | None = None
+    """(n, 7): the poses from which open hands come to the commanded ones; None: not asked for."""
+    resting_poses: list[list[int]] | None = None
+    """Numbers of the resting poses in which each hand comes to it; None: there is no table."""
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """Return the values (n,) of a column."""
+        return self.columns[name].values
+
+    @property
+    def is_settled(self) -> NDArray[np.bool_]:
+        """(n,): True where the settled pose was recorded."""
+        return np.asarray(~np.isnan(self.settled[:, 0]))
+
+    @property
+    def grasp_poses(self) -> Floats:
+        """(n, 7): the settled poses, the commanded ones where none was recorded."""
+        return np.where(self.is_settled[:, None], self.settled, self.poses)
+
+    @property
+    def is_grasp(self) -> NDArray[np.bool_]:
+        """(n,): True if at least one disturbance was survived."""
+        return np.isin(self["outcome"], ("shaken", "held"))
+
+    @property
+    def synergy_labels(self) -> NDArray[np.int64]:
+        """(n,): places of the synergies in the hand's; `NO_SYNERGY` for none."""
+        labels = {synergy.name: label for label, synergy in enumerate(self.scene.gripper.synergies)}
+        return np.array([labels.get(name, NO_SYNERGY) for name in self.synergies.tolist()], dtype=np.int64)
+
+    def jaw_matrices(self, poses: Floats) -> Floats:
+        """(n, 4, 4): poses (n, 7) of the root link as those of the turned axes; NaN stays."""
+        known = ~np.isnan(poses[:, 0])
+        matrices = np.full((len(poses), 4, 4), np.nan)
+        matrices[known] = to_matrices(turn_hand_axes(poses[known], jaw_turn(self.scene.gripper)))
+        return matrices
+
+    @property
+    def jaw_metadata(self) -> GraspMetadata:
+        """The metadata, with a description of the turned axes."""
+        hand = self.scene.gripper
+        across = (
+            f"x from one finger to the other, along ({join_numbers(hand.jaw.axis)}) of it"
+            if hand.jaw
+            else "x at right angles to it, for the hand has no jaw"
+        )
+        turn = ", ".join(f"{value:.9g}" for value in jaw_turn(hand) + 0.0)
+        words = (
+            f"origin of link '{hand.base_link}'; +z approaches, along ({join_numbers(hand.approach_axis)}) "
+            f"of the link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
+        )
+        return msgspec.structs.replace(self.about, gripper_axes=words, quaternions=MATRIX_WORDS)
+
+    @property
+    def about(self) -> GraspMetadata:
+        """The metadata; a table that is written to a file has it."""
+        if self.metadata is None:
+            raise ValueError("a table without metadata is in no file")
+        return self.metadata
+
+
+def exact_decimals(values: NDArray[np.floating]) -> Floats:
+    """Return numbers as float64 whose shortest decimals are those of the numbers in their precision."""
+    return np.asarray(values, dtype="U32").astype(np.float64)
+
+
+UNIT_TOLERANCE = 1e-2
+"""Tolerance of a quaternion's length, and of a matrix's products from the identity."""
+
+
+def check_table(path: Path, table: GraspTable) -> None:
+    """Check that there are grasps, and that their numbers are possible; raises UnreadableGrasps."""
+    if not len(table):
+        raise UnreadableGrasps(path, "there is none in it")
+    columns = {
+        "names": table.names, "synergies": table.synergies, "confidence": table.confidence,
+        "joints": table.pregrasp,
+    }  # fmt: skip
+    for what, values in columns.items():
+        if values is not None and len(values) != len(table):
+            raise UnreadableGrasps(path, f"it has {len(table)} poses, and {len(values)} of its {what}")
+    check_positions(path, table.names, table.poses)
+    lengths = np.linalg.norm(table.poses[:, 3:], axis=1)
+    _check_each(
+        path, table.names, np.abs(lengths - 1.0) <= UNIT_TOLERANCE, "its quaternion is not a unit one"
+    )
+    if table.pregrasp is not None:
+        _check_each(path, table.names, ~np.isinf(table.pregrasp).any(axis=1), "a joint of it is infinite")
+    for what, value in (("scale", table.scale), ("mass", table.mass), ("friction", table.friction)):
+        if value is not None and not 0 < value < np.inf:
+            raise UnreadableGrasps(
+                path, f"the object's {what} in it must be a number greater than 0, and is {value:g}"
+            )
+
+
+def check_positions(path: Path, names: NDArray[np.str_], poses: Floats) -> None:
+    """Check that poses (n, 7) are finite, and near enough for their digits to mean something."""
+    _check_each(path, names, np.isfinite(poses).all(axis=1), "its pose holds a number that is not finite")
+    near = (np.abs(poses[:, :3]) <= FARTHEST).all(axis=1)
+    _check_each(path, names, near, f"its position is more than {FARTHEST:g} m away; lengths are metres")
+
+
+def check_matrices(path: Path, matrices: Floats) -> Floats:
+    """Check that an array is of homogeneous matrices (n, 4, 4) of rigid motions, and return it."""
+    if matrices.shape[1:] != (4, 4):
+        raise UnreadableGrasps(path, "its transforms must be of shape (n, 4, 4)")
+    turns = matrices[:, :3, :3]
+    off = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    is_rigid = (off <= UNIT_TOLERANCE) & (np.linalg.det(turns) > 0)
+    is_rigid &= (matrices[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+    names = np.arange(len(matrices)).astype(str)
+    _check_each(path, names, is_rigid, "its transform is not a rotation and a translation")
+    return matrices
+
+
+def _check_each(path: Path, names: NDArray[np.str_], good: Any, what: str) -> None:
+    if not np.all(good):
+        raise UnreadableGrasps(path, f"of grasp '{names[~good][0]}' {what}")

@@ -1,0 +1,326 @@
+"""Files of matrices with axes of a jaw, +z toward the object and x across: ACRONYM and GraspGen.
+
+ACRONYM HDF5: Eppner et al. 2021, "ACRONYM: A Large-Scale Grasp Dataset Based on Simulation", and the data's
+own keys. In its simulation an open gripper closed at a transform, and the motion of the object meanwhile was
+recorded: `grasps/transforms` are the commanded poses. Joints, synergies, settled poses and the group
+`qdgrasp` are datasets of our own, which other readers pass over.
+
+GraspGen: "GraspGen Grasp Dataset Format" and "GraspGen Gripper Description", v1.0.0. The folder has
+
+* `grasp_data/NAME.json`             transforms, bits and metadata
+* `grasp_data/map_uuid_to_path.json` which object is in which file
+* `splits/train.txt`, `valid.txt`    the object, in both: there is one
+* `object_data/NAME.obj`             its mesh, in metres, in the frame of the transforms
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from qdgrasp_assets.geometry.mesh import parts_to_obj
+from qdgrasp_tools.export.frames import from_matrices, object_solid
+from qdgrasp_tools.export.grasp_table import (
+    CONTACT_FIELDS,
+    GraspMetadata,
+    GraspTable,
+    RunTable,
+    check_matrices,
+)
+
+TRANSFORMS = "grasps/transforms"
+SUCCESSES = "grasps/qualities/flex/object_in_gripper"
+MOTION = "grasps/qualities/flex/object_motion_during_closing"
+JOINTS, SYNERGIES = "gripper/joint_names", "gripper/synergy_names"
+STARTS, SYNERGY = "grasps/pregrasp_joint_positions", "grasps/synergy"
+CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/about"
+
+
+def write_acronym(path: Path, table: RunTable) -> None:
+    """Write grasps as an ACRONYM file."""
+    import h5py
+
+    about = table.jaw_metadata
+    with h5py.File(path, "w") as file:
+        for name, value in _datasets(table).items():
+            file[name] = value
+        file[ABOUT] = about.json
+        for name, value in about.values.items():
+            if name not in ("runs", "resting_poses"):  # HDF5 has no nested attributes
+                file["qdgrasp"].attrs[name] = json.dumps(value) if isinstance(value, dict) else value
+
+
+def _datasets(table: RunTable) -> dict[str, Any]:
+    contacts, about = table.contacts, table.about
+    hand, body = table.scene.gripper, object_solid(table.scene.object, table.frame)
+    found = {
+        "object/file": about.object_file or about.object,
+        "object/scale": about.object_scale,
+        "object/mass": body.mass,
+        "object/density": body.mass / body.mesh.volume,
+        "object/friction": about.object_friction,
+        "object/volume": body.mesh.volume,
+        "object/com": body.com,
+        "object/inertia": body.inertia,
+        TRANSFORMS: table.jaw_matrices(table.poses),
+        "grasps/settled_transforms": table.jaw_matrices(table.settled),
+        SUCCESSES: table.is_grasp.astype(np.int8),
+        f"{MOTION}_linear": table["motion_mm"] * 1e-3,
+        f"{MOTION}_angular": np.radians(table["motion_deg"]),
+        CONFIDENCE: table.confidence,
+        "grasps/joint_positions": table.joints,
+        STARTS: table.pregrasp,
+        SYNERGY: table.synergy_labels,
+        NUMBERS: table["number"],
+        **{f"qdgrasp/{name}": table[name] for name in ("fitness", "eta", "trials", "penetration", "margin")},
+        "qdgrasp/outcome": table["outcome"].tolist(),
+        "grasps/contact_links": contacts.links.astype(np.int16) - 1,
+        "grasps/contact_points": contacts.points.astype(np.float32),
+        "grasps/contact_normals": contacts.normals.astype(np.float32),
+        "grasps/contact_forces": contacts.forces.astype(np.float32),
+        "gripper/type": hand.name,
+        "gripper/link_names": list(hand.links) or np.zeros(0, "S1"),
+        JOINTS: list(table.joint_names),
+        SYNERGIES: [synergy.name for synergy in hand.synergies] or np.zeros(0, "S1"),
+    }
+    if hand.jaw:
+        found["gripper/configuration"] = np.array([hand.jaw.opening / 2])
+    if table.approach is not None:
+        found["grasps/approach_transforms"] = table.jaw_matrices(table.approach)
+        found["grasps/approach_directions"] = np.column_stack([table[f"approach_{axis}"] for axis in "xyz"])
+        found["grasps/approach_clear"] = table["approach_clear"].astype(np.int8)
+    if table.resting_poses is not None:
+        numbers = [pose.number for pose in about.resting_poses or ()]
+        found["grasps/resting_poses"] = np.array(
+            [[n in each for n in numbers] for each in table.resting_poses]
+        )
+        found["qdgrasp/resting_pose_numbers"] = np.array(numbers, dtype=np.int64)
+        found["qdgrasp/resting_probability"] = table["resting_probability"]
+    return found
+
+
+def read_acronym(path: Path) -> GraspTable:
+    """Read the grasps in an ACRONYM file, of ours or of others."""
+    import h5py
+
+    with h5py.File(path) as file:
+        matrices = check_matrices(path, np.array(file[TRANSFORMS], dtype=np.float64))
+        about = None
+        if ABOUT in file:
+            about = msgspec.json.decode(file[ABOUT].asstr()[()], type=GraspMetadata)
+        quality = CONFIDENCE if CONFIDENCE in file else SUCCESSES
+        numbers = {name: float(file[f"object/{name}"][()]) for name in ("scale", "mass", "friction")
+                   if f"object/{name}" in file}  # fmt: skip
+        synergies = None
+        if SYNERGY in file:
+            names = np.array([*file[SYNERGIES].asstr()[()], ""], dtype=str)
+            synergies = names[np.array(file[SYNERGY], dtype=np.int64)]
+        kind = file["gripper/type"].asstr()[()] if "gripper/type" in file else None
+        return GraspTable(
+            names=np.array(file[NUMBERS] if NUMBERS in file else np.arange(len(matrices))).astype(str),
+            poses=from_matrices(matrices),
+            has_jaw_axes=True,
+            frame=about.frame if about else None,
+            gripper=about.gripper if about else kind,
+            link=about.gripper_frame if about else None,
+            joint_names=tuple(file[JOINTS].asstr()[()]) if STARTS in file else (),
+            pregrasp=np.array(file[STARTS], dtype=np.float64) if STARTS in file else None,
+            synergies=synergies,
+            confidence=np.array(file[quality], dtype=np.float64) if quality in file else None,
+            metadata=about,
+            **numbers,
+        )
+
+
+class FlatAcronym(Struct):
+    """The flat JSON that readers of ACRONYM take too."""
+
+    transforms: list[list[list[float]]]
+    object_scale: float | None = None
+    quality_flex_object_in_gripper: list[float | bool] | None = None
+
+
+INDEX_FILE = "map_uuid_to_path.json"
+DATA, SPLITS, OBJECTS = "grasp_data", "splits", "object_data"
+BASE_OFFSET = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+"""Offset of GraspGen's axes from those of the transforms, xyz [m] and xyzw: zero."""
+
+
+def write_graspgen(path: Path, parts: Iterable[RunTable]) -> None:
+    """Write grasps and failures as a GraspGen folder."""
+    path.mkdir(parents=True)
+    name = write_graspgen_object(path, "", parts)
+    write_graspgen_index(path, {name: ("train", "valid")})
+
+
+def write_graspgen_object(path: Path, name: str, parts: Iterable[RunTable]) -> str:
+    """Write the JSON and the mesh of one object into a folder, and return its name.
+
+    Only the lists of one part are in memory as values; of the others there is the text.
+    """
+    lists: dict[str, list[bytes]] = {}
+    ours: dict[str, list[bytes]] = {}
+    for table in parts:
+        for texts, values in zip((lists, ours), _lists(table), strict=True):
+            for key, items in values.items():
+                texts.setdefault(key, []).append(msgspec.json.encode(items)[1:-1])
+    about, hand = table.jaw_metadata, table.scene.gripper
+    name = name or about.object
+    beside = {
+        "transform_offset_from_asset_to_graspgen_convention": BASE_OFFSET,
+        "joint_names": [joint.name for joint in hand.joints],
+        "grasps": _joined(ours),
+    }
+    whole: dict[str, Any] = {"object": {"file": f"{name}.obj", "scale": 1.0}, "grasps": _joined(lists)}
+    for folder in (DATA, OBJECTS):
+        (path / folder).mkdir(exist_ok=True)
+    (path / DATA / f"{name}.json").write_bytes(
+        msgspec.json.encode(whole | {"qdgrasp": about.values | beside})
+    )
+    mesh = object_solid(table.scene.object, table.frame).mesh
+    (path / OBJECTS / f"{name}.obj").write_bytes(parts_to_obj([mesh]))
+    return name
+
+
+def write_graspgen_index(path: Path, objects: Mapping[str, Iterable[str]]) -> None:
+    """Write the lists of a folder: objects with the splits that they are in."""
+    (path / SPLITS).mkdir(exist_ok=True)
+    files = {f"{name}.obj": f"{name}.json" for name in objects}
+    (path / DATA / INDEX_FILE).write_bytes(msgspec.json.encode(files))
+    for split in sorted({"train", "valid"}.union(*objects.values())):
+        names = [f"{name}.obj\n" for name, splits in objects.items() if split in splits]
+        (path / SPLITS / f"{split}.txt").write_text("".join(names), encoding="utf-8")
+
+
+def is_graspgen(path: Path) -> bool:
+    """Return whether a folder is one for GraspGen."""
+    return (path / DATA / INDEX_FILE).is_file() and {p.name for p in path.iterdir()} == {
+        DATA,
+        SPLITS,
+        OBJECTS,
+    }
+
+
+def _joined(texts: Mapping[str, list[bytes]]) -> dict[str, msgspec.Raw]:
+    """Join the texts of parts of lists."""
+    return {key: msgspec.Raw(b"[" + b",".join(filter(None, each)) + b"]") for key, each in texts.items()}
+
+
+def _lists(table: RunTable) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]:
+    """Return the format's lists and ours, with an item for each grasp."""
+    ours: dict[str, list[Any]] = {
+        "number": table["number"].tolist(),
+        "fitness": table["fitness"].tolist(),
+        "eta": table["eta"].tolist(),
+        "joint_positions": table.joints.tolist(),
+        "pregrasp_joint_positions": table.pregrasp.tolist(),
+        "synergy": table.synergies.tolist(),
+        "penetration": table["penetration"].tolist(),
+        "margin": table["margin"].tolist(),
+        "settled_transforms": _where_settled(table, table.jaw_matrices(table.settled).tolist()),
+        "contacts": _where_settled(table, _contacts(table)),
+    }
+    if table.approach is not None:
+        ours["approach_transforms"] = table.jaw_matrices(table.approach).tolist()
+        ours["approach_clear"] = (table["approach_clear"] == 1).tolist()
+    if table.resting_poses is not None:
+        ours["resting_poses"] = table.resting_poses
+        ours["resting_probability"] = table["resting_probability"].tolist()
+    poses = table.jaw_matrices(table.poses).tolist()
+    return {"transforms": poses, "object_in_gripper": table.is_grasp.tolist()}, ours
+
+
+def _where_settled(table: RunTable, values: list[Any]) -> list[Any]:
+    """Return values in the order of the grasps, None where nothing was recorded after closing."""
+    return [value if known else None for value, known in zip(values, table.is_settled, strict=True)]
+
+
+def _contacts(table: RunTable) -> list[list[dict[str, Any]]]:
+    """Return the contacts of each grasp."""
+    names = ("", *table.scene.gripper.links)
+    return [
+        [
+            dict(zip(CONTACT_FIELDS, (names[link], *point, *normal, force), strict=True))
+            for link, point, normal, force in zip(*(each.tolist() for each in slots), strict=True)
+            if link
+        ]
+        for slots in zip(*table.contacts, strict=True)
+    ]
+
+
+class GraspGenObject(Struct):
+    """The object."""
+
+    scale: float | None = None
+
+
+class GraspGenTransforms(Struct):
+    """Grasps and failures."""
+
+    transforms: list[list[list[float]]]
+    object_in_gripper: list[bool | float] | None = None
+
+
+class GraspGenExtras(Struct):
+    """Values without a place in the format, in the order of the transforms."""
+
+    number: list[int]
+    pregrasp_joint_positions: list[list[float]]
+    synergy: list[str]
+
+
+class GraspGenMetadata(GraspMetadata, frozen=True, kw_only=True):
+    """The block `qdgrasp`."""
+
+    joint_names: tuple[str, ...]
+    grasps: GraspGenExtras
+
+
+class GraspGenFile(Struct):
+    """A JSON file of grasps."""
+
+    grasps: GraspGenTransforms
+    object: GraspGenObject
+    qdgrasp: GraspGenMetadata | None = None
+
+
+def read_json(path: Path) -> GraspTable:
+    """Read the grasps in a JSON file of GraspGen, or the flat one of ACRONYM."""
+    text = path.read_bytes()
+    if "grasps" not in msgspec.json.decode(text, type=dict[str, msgspec.Raw]):
+        flat = msgspec.json.decode(text, type=FlatAcronym)
+        return _matrix_table(path, flat.transforms, flat.quality_flex_object_in_gripper, flat.object_scale)
+    file = msgspec.json.decode(text, type=GraspGenFile)
+    table = _matrix_table(path, file.grasps.transforms, file.grasps.object_in_gripper, file.object.scale)
+    if (ours := file.qdgrasp) is None:
+        return table
+    return replace(
+        table,
+        names=np.array(ours.grasps.number, dtype=np.int64).astype(str),
+        joint_names=ours.joint_names,
+        pregrasp=np.array(ours.grasps.pregrasp_joint_positions, dtype=np.float64),
+        synergies=np.array(ours.grasps.synergy, dtype=str),
+        frame=ours.frame,
+        gripper=ours.gripper,
+        link=ours.gripper_frame,
+        scale=ours.object_scale,
+        metadata=ours,
+    )
+
+
+def _matrix_table(path: Path, transforms: Any, quality: Any, scale: float | None) -> GraspTable:
+    matrices = check_matrices(path, np.array(transforms or np.zeros((0, 4, 4)), dtype=np.float64))
+    confidence: NDArray[np.float64] | None = None if quality is None else np.array(quality, dtype=np.float64)
+    return GraspTable(
+        names=np.arange(len(matrices)).astype(str),
+        poses=from_matrices(matrices),
+        has_jaw_axes=True,
+        confidence=confidence,
+        scale=scale,
+    )

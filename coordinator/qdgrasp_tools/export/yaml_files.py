@@ -1,0 +1,250 @@
+"""YAML files of grasps: Isaac Grasp, format version 1.0, and MoveIt.
+
+An Isaac file is for one hand and one object, joints by name. Public descriptions: Isaac Sim, "Grasp Editor"
+(keys `object_frame_link`, `gripper_frame_link`), and Isaac ROS, "Isaac Grasp File" (`object_frame`,
+`gripper_frame`); files here have both. Readers of either take the poses from `grasps` and pass over what they
+do not know, such as the block `qdgrasp`.
+
+Isaac Sim replicates a grasp from `position`, `orientation` and `cspace_position`: they are the settled pose
+and the joints after closing. The commanded pose, which goes with `pregrasp_cspace_position`, has keys of our
+own beside it.
+
+For MoveIt the list `grasps` has messages `moveit_msgs/msg/Grasp` (ROS 2). `grasp_pose` is that of the hand's
+root link, the parent link of the end effector, in the object's frame: the commanded pose, to which the hand
+comes with `pre_grasp_posture` and where it closes. Messages have no place for the settled pose; it is in the
+block `qdgrasp`. Approach and retreat, along the hand's own approach axis, are suggestions.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_tools.export.grasp_table import (
+    GraspMetadata,
+    GraspTable,
+    RunTable,
+    UnreadableGrasps,
+    exact_decimals,
+)
+
+FORMAT, VERSION = "isaac_grasp", 1.0
+WXYZ = "w, then xyz = [x, y, z]"
+
+
+def to_yaml(values: Any) -> str:
+    """Write values as YAML, innermost lists and mappings in one line, texts of several lines as such."""
+    import yaml
+
+    class Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # chosen at run time
+        """Dumps texts of several lines as blocks, and writes no aliases."""
+
+        def ignore_aliases(self, data: Any) -> bool:
+            return True
+
+    def text(dumper: Any, value: str) -> Any:
+        return dumper.represent_scalar("tag:yaml.org,2002:str", value, style="|" if "\n" in value else None)
+
+    Dumper.add_representer(str, text)
+    return str(
+        yaml.dump(
+            values, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=1 << 20, default_flow_style=None
+        )
+    )
+
+
+def _numbers(values: NDArray[np.floating]) -> list[Any]:
+    """Return numbers as plain values whose decimals are the shortest in their precision."""
+    return list(exact_decimals(values).tolist())
+
+
+def _optional(values: NDArray[np.floating]) -> list[float | None]:
+    """Return numbers (n,) as plain values, None for NaN."""
+    return [None if value != value else value for value in _numbers(values)]
+
+
+def _extra_lists(table: RunTable) -> dict[str, Any]:
+    """Return values without a place in the format, lists in the order of the grasps."""
+    names = ("fitness", "eta", "margin", "penetration")
+    lists: dict[str, Any] = {name: _optional(table[name]) for name in names}
+    lists = {name: values for name, values in lists.items() if any(each is not None for each in values)}
+    if (table.synergy_labels != NO_SYNERGY).any():
+        lists["synergy"] = table.synergies.tolist()
+    if table.approach is not None:
+        directions = [table[f"approach_{axis}"] for axis in "xyz"]
+        lists["approach_directions"] = _numbers(np.column_stack(directions) + 0.0)
+        lists["approach_positions"] = _numbers(table.approach[:, :3] + 0.0)
+    if table.resting_poses is not None:
+        lists["resting_poses"] = table.resting_poses
+        lists["resting_probability"] = _numbers(table["resting_probability"])
+    return lists
+
+
+def write_isaac(path: Path, table: RunTable) -> None:
+    """Write grasps as Isaac Grasp YAML."""
+    about = msgspec.structs.replace(table.about, quaternions=WXYZ)
+    names = {"object_frame": about.object, "gripper_frame": about.gripper_frame}
+    kinds = ("", table.grasp_poses, table.joints), ("pregrasp_", table.poses, table.pregrasp)
+    numbers = [(kind, _numbers(poses), _numbers(joints)) for kind, poses, joints in kinds]
+    grasps = {}
+    for place, (name, confidence) in enumerate(zip(table.names, _numbers(table.confidence), strict=True)):
+        grasp = grasps[f"grasp_{name}"] = {"confidence": confidence}
+        for kind, poses, joints in numbers:
+            x, y, z, qx, qy, qz, qw = poses[place]
+            grasp |= {
+                f"{kind}position": [x, y, z],
+                f"{kind}orientation": {"w": qw, "xyz": [qx, qy, qz]},
+                f"{kind}cspace_position": dict(zip(table.joint_names, joints[place], strict=True)),
+            }
+    head = {"format": FORMAT, "format_version": VERSION}
+    head |= {f"{key}_link": name for key, name in names.items()} | names
+    values = head | {"qdgrasp": about.values | {"grasps": _extra_lists(table)}, "grasps": grasps}
+    path.write_text(to_yaml(values), encoding="utf-8")
+
+
+def write_moveit(path: Path, table: RunTable) -> None:
+    """Write grasps as a YAML list of MoveIt's messages."""
+    about, hand, names = table.about, table.scene.gripper, list(table.joint_names)
+    way = about.approach_distance or hand.reach
+    moves = {
+        name: {
+            "direction": {"header": _header(hand.base_link), "vector": _xyz(axis)},
+            "desired_distance": round(way, 6),
+            "min_distance": round(min(way, hand.standoff[1]), 6),
+        }
+        for name, axis in (
+            ("pre_grasp_approach", np.array(hand.approach_axis)),
+            ("post_grasp_retreat", -np.array(hand.approach_axis) + 0.0),
+            ("post_place_retreat", -np.array(hand.approach_axis) + 0.0),
+        )
+    }
+    columns = (table.names, table.poses, table.pregrasp, table.joints, _numbers(table.confidence))
+    messages = [
+        {
+            "id": f"grasp_{name}",
+            "pre_grasp_posture": _posture(names, start),
+            "grasp_posture": _posture(names, closed),
+            "grasp_pose": {
+                "header": _header(about.object),
+                "pose": {
+                    "position": _xyz(pose[:3]),
+                    "orientation": dict(zip("xyzw", _numbers(pose[3:]), strict=True)),
+                },
+            },
+            "grasp_quality": quality,
+            **moves,
+            "max_contact_force": 0.0,
+            "allowed_touch_objects": [about.object],
+        }
+        for name, pose, start, closed, quality in zip(*columns, strict=True)
+    ]
+    lists = _extra_lists(table) | {"settled_poses": _numbers(table.grasp_poses)}
+    path.write_text(
+        to_yaml({"qdgrasp": about.values | {"grasps": lists}, "grasps": messages}), encoding="utf-8"
+    )
+
+
+def _header(frame: str) -> dict[str, Any]:
+    return {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
+
+
+def _xyz(vector: NDArray[np.floating]) -> dict[str, float]:
+    return dict(zip("xyz", _numbers(vector), strict=True))
+
+
+def _posture(names: list[str], positions: NDArray[np.floating]) -> dict[str, Any]:
+    """Return a trajectory_msgs/msg/JointTrajectory of one point."""
+    none: dict[str, Any] = {name: [] for name in ("velocities", "accelerations", "effort")}
+    point = {"positions": _numbers(positions), **none, "time_from_start": {"sec": 0, "nanosec": 0}}
+    return {"header": _header(""), "joint_names": names, "points": [point]}
+
+
+Vector = tuple[float, float, float]
+
+
+class IsaacOrientation(Struct):
+    """A quaternion."""
+
+    w: float
+    xyz: Vector
+
+
+class IsaacGrasp(Struct, kw_only=True):
+    """One grasp; the pose after closing, and of ours the one before."""
+
+    position: Vector
+    orientation: IsaacOrientation
+    pregrasp_position: Vector | None = None
+    pregrasp_orientation: IsaacOrientation | None = None
+    confidence: float | None = None
+    cspace_position: dict[str, float] = {}
+    pregrasp_cspace_position: dict[str, float] = {}
+
+    @property
+    def pose(self) -> list[float]:
+        """Position [m] and quaternion xyzw, of the commanded pose where the file has it."""
+        position = self.pregrasp_position or self.position
+        turn = self.pregrasp_orientation or self.orientation
+        return [*position, *turn.xyz, turn.w]
+
+
+class IsaacLists(Struct):
+    """Values of ours in the order of the grasps."""
+
+    synergy: list[str] | None = None
+
+
+class IsaacMetadata(GraspMetadata, frozen=True, kw_only=True):
+    """The block `qdgrasp`."""
+
+    grasps: IsaacLists
+
+
+class IsaacFile(Struct, kw_only=True):
+    """A file of grasps."""
+
+    format: str = ""
+    format_version: float = 0.0
+    grasps: dict[str | int, IsaacGrasp]
+    gripper_frame_link: str | None = None
+    gripper_frame: str | None = None
+    qdgrasp: IsaacMetadata | None = None
+
+
+def read_isaac(path: Path) -> GraspTable:
+    """Read the grasps in an Isaac Grasp YAML file, of ours or of others."""
+    import yaml
+
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    with path.open("rb") as text:
+        values = yaml.load(text, Loader=loader)  # noqa: S506  # a safe one
+    if not isinstance(values, dict) or values.get("format") != FORMAT:
+        raise UnreadableGrasps(path, f"it is YAML, but not an Isaac grasp file: it has no 'format: {FORMAT}'")
+    file = msgspec.convert(values, IsaacFile, strict=False)
+    if file.format_version != VERSION:
+        raise UnreadableGrasps(path, f"it is of format version {file.format_version}; {VERSION} is read")
+    grasps, about = list(file.grasps.values()), file.qdgrasp
+    starts = [grasp.pregrasp_cspace_position for grasp in grasps]
+    joints = tuple(dict.fromkeys(name for each in grasps for name in each.cspace_position))
+    joints = tuple(dict.fromkeys([*(name for each in starts for name in each), *joints]))
+    link = file.gripper_frame_link or file.gripper_frame
+    nan = float("nan")
+    return GraspTable(
+        names=np.array(list(file.grasps), dtype=str),
+        poses=np.array([grasp.pose for grasp in grasps]).reshape(-1, 7),
+        frame=about.frame if about else None,
+        gripper=about.gripper if about else None,
+        link=about.gripper_frame if about else link and link.rsplit("/", 1)[-1],  # a path in the stage
+        joint_names=joints,
+        pregrasp=np.array([[each.get(name, nan) for name in joints] for each in starts]).reshape(
+            -1, len(joints)
+        ),
+        synergies=np.array(about.grasps.synergy, dtype=str) if about and about.grasps.synergy else None,
+        confidence=np.array([nan if each.confidence is None else each.confidence for each in grasps]),
+        scale=about.object_scale if about else None,
+        metadata=about,
+    )
