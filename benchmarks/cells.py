@@ -99,7 +99,7 @@ def read_cells(bus: ZenohBus, job: str, recorder: int) -> dict[str, float]:
     began, ours, theirs = time.perf_counter(), time.process_time(), cpu(recorder)
     is_more = True
     while is_more:
-        page = caches.cells(job, "run", since)
+        page = caches.run(job, "run").cells(since)
         _, _, since, is_more, whole, _ = HEADER.unpack_from(page)
         sent, pages = sent + len(page), pages + 1
     return {

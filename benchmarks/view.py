@@ -18,7 +18,7 @@ from tests.tools.monitor.web.conftest import FakeFeed, HandMadeRecords, finds, s
 
 from qdgrasp_coordinator.storage.success_pages import MOST_SUCCESSES, SuccessTable
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.monitor.web.run_cache import RunCaches
+from qdgrasp_tools.monitor.web.run_cache import JobCaches
 
 INSIDE = 10  # cells; the object is within this distance of the middle
 IS_SHOWN = "(words) => document.querySelector('#scene-words').textContent.startsWith(words)"
@@ -81,7 +81,7 @@ def main() -> None:
     records, feed = HandMadeRecords(made_scene(), run="mug", on_a_page=MOST_SUCCESSES), FakeFeed()
     records.record(archive(cells))
     feed.step()
-    with serving(feed, library=RunCaches(records)) as address, browser.launched() as launched:
+    with serving(feed, library=JobCaches(records)) as address, browser.launched() as launched:
         page = launched.new_page(viewport=browser.DESKTOP)
         page.set_default_timeout(browser.PATIENCE)
         found = measured(page, cells, address)

@@ -9,7 +9,7 @@ EXTRAS = {
     "cma": ("ribs",),
     "export": ("h5py", "pyarrow"),
     "gpu": ("mujoco_warp", "warp"),
-    "monitor": ("prometheus_client", "starlette", "uvicorn"),
+    "monitor": ("prometheus_client", "sse_starlette", "starlette", "uvicorn"),
 }
 """The packages of each extra of pyproject.toml, as they are imported."""
 

@@ -393,7 +393,7 @@ def view(
     check_packages("The page", *EXTRAS["monitor"])
     with lifetime("qdgrasp-view") as stop:
         from qdgrasp_tools.monitor.records import FolderIndex
-        from qdgrasp_tools.monitor.web.routes import folder_site
+        from qdgrasp_tools.monitor.web.routes import folder_routes
         from qdgrasp_tools.monitor.web.server import serve
 
         def opened(address: str) -> None:
@@ -401,7 +401,7 @@ def view(
             if not no_open and has_desktop(os.environ):
                 threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
-        serve(folder_site(FolderIndex(directories)), host, port, "", stop, opened)
+        serve(folder_routes(FolderIndex(directories)), host, port, "", stop, opened)
     raise typer.Exit(stop.exit_code)
 
 

@@ -183,13 +183,15 @@ def stream_looks(feed: Feed, endpoint: str, stop: Stop) -> None:
 
 def serve_page(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
     """Serve the page; its packages are loaded for it alone."""
-    from qdgrasp_tools.monitor.web.routes import live_site
-    from qdgrasp_tools.monitor.web.run_cache import RunCaches
-    from qdgrasp_tools.monitor.web.server import serve as serve_site
+    from qdgrasp_tools.monitor.web.routes import live_routes
+    from qdgrasp_tools.monitor.web.run_cache import JobCaches
+    from qdgrasp_tools.monitor.web.server import serve as serve_routes
 
     host, port = host_and_port(web)
-    site = live_site(feed, RunCaches(BusRecords(bus)))
-    serve_site(site, host, port, token, stop, lambda address: log.info("the page is open", address=address))
+    routes = live_routes(feed, JobCaches(BusRecords(bus)), stop)
+    serve_routes(
+        routes, host, port, token, stop, lambda address: log.info("the page is open", address=address)
+    )
 
 
 def to_json(views: Sequence[JobView], endpoint: str) -> str:

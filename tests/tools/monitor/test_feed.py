@@ -5,8 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-import pytest
-from tests.common import PATIENCE, own_endpoint, wait_for
+from tests.common import PATIENCE, wait_for
 from tests.tools.monitor.sample_jobs import NOW, curve, figures, run, values, views
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, to_json
@@ -16,10 +15,9 @@ from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys, matches
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.campaign.object_library import SkippedObject
 from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
-from qdgrasp_tools.monitor.feed import SUBSCRIBED_KEYS, Feed, ObjectFeed, summary_lines
+from qdgrasp_tools.monitor.feed import Feed, ObjectFeed, summary_lines
 from qdgrasp_tools.monitor.job_view import JobView
 
 MUGS = Keys("mugs")
@@ -118,15 +116,6 @@ def test_a_feed_survives_that_it_is_cut_off(network: MemoryNetwork) -> None:
         until(feed, lambda views: feed.is_linked and views[0].figures.evaluations == 1234)
 
 
-def test_more_than_a_ring_holds_is_dropped_and_the_newest_is_known(network: MemoryNetwork) -> None:
-    with network.session() as bus, coordinator(bus), Feed(network.session()) as feed:
-        until(feed, is_whole)
-        for number in range(2 * SUBSCRIBED_KEYS["stat/job"]):
-            say(bus, MUGS.stat("job"), figures(evaluations=5000 + number))
-        last = 5000 + 2 * SUBSCRIBED_KEYS["stat/job"] - 1
-        until(feed, lambda views: views[0].figures.evaluations == last)
-
-
 def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts(network: MemoryNetwork) -> None:
     done = threading.Event()
     with network.session() as bus, Feed(network.session()) as feed:
@@ -139,36 +128,6 @@ def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts(network: Me
         with feed._changed:  # a reader that does not get on
             threading.Thread(target=put).start()
             assert done.wait(PATIENCE)
-
-
-def test_waiting_ends_with_news_and_without_them(network: MemoryNetwork) -> None:
-    with network.session() as bus, Feed(network.session()) as feed:
-        while feed.wait(0.5):  # its first questions, which no process answers
-            pass
-        threading.Timer(0.1, say, (bus, MUGS.stat("job"), figures())).start()
-        assert feed.wait(PATIENCE)
-
-
-@pytest.mark.parametrize("restarts", [2])
-def test_a_feed_survives_restarts_of_the_router(restarts: int) -> None:
-    endpoint = own_endpoint()
-    with ExitStack() as stack:
-        router = stack.enter_context(ZenohBus.router(endpoint))
-        far = stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))
-        feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))))
-        stack.enter_context(coordinator(far))
-        until(feed, is_whole)
-        for turn in range(restarts):
-            router.close()
-            until(feed, lambda _: not feed.is_linked)
-            router = stack.enter_context(ZenohBus.router(endpoint))
-
-            def is_heard(views: list[JobView], number: int = 2000 + turn) -> bool:
-                say(far, MUGS.stat("job"), figures(evaluations=number))
-                return views[0].figures.evaluations == number
-
-            (view,) = until(feed, is_heard)
-            assert view.state == "running"
 
 
 def text(shown: dict[str, bytes]) -> str:
@@ -220,30 +179,3 @@ def test_objects_are_read_in_a_thread_and_kept_where_nothing_answers() -> None:
     objects.objects(view)
     wait_for(lambda: not objects._thread.is_alive())
     assert [each.object for each in objects.objects(view)] == ["mug"]
-
-
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
-        ({"recorders": 0}, "no recorder is there"),
-        ({"workers": 0}, "workers: none has joined"),
-        ({"state": "paused"}, "paused until `qdgrasp continue mugs`"),
-        ({"trouble": "the disk is full"}, "paused: the disk is full"),
-    ],
-)
-def test_what_keeps_a_job_from_going_on_is_told(more: dict[str, object], words: str) -> None:
-    assert words in text(values(**more))
-
-
-def test_jobs_are_told_by_name_and_values_of_others_are_left_out() -> None:
-    shown = values("mugs") | values("cubes") | {"qdgrasp/v1/odd/meta": b"[]", "else/where": b"{}"}
-    shown[Keys("mugs").stat("run/a")] = b"not JSON"
-    assert [(view.meta.job, len(view.runs)) for view in views(shown)] == [("cubes", 2), ("mugs", 1)]
-
-
-@pytest.mark.parametrize("since", [b"yesterday", b"2026-11-21T12:00:00", b"9999-99-99T00:00:00Z"])
-def test_a_job_that_began_at_no_time_is_left_out(since: bytes) -> None:
-    shown, key = values("mugs"), Keys("mugs").meta
-    shown[key] = shown[key].replace(b"2026-11-21T12:00:00Z", since)
-    assert since in shown[key]
-    assert views(shown) == []

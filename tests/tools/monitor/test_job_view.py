@@ -19,13 +19,6 @@ def test_thinned_points_are_few_in_order_and_hold_the_first_and_the_newest(steps
     assert (thinned.points[0], thinned.points[-1]) == (places[0], places[-1])
 
 
-def test_a_point_that_lies_before_the_last_is_left_out() -> None:
-    thinned: ThinnedSamples[int] = ThinnedSamples(float, 10)
-    for place in (1, 5, 3):
-        thinned.add(place)
-    assert thinned.points == [1, 5]
-
-
 def test_points_stay_evenly_spread_however_long_it_takes() -> None:
     thinned: ThinnedSamples[int] = ThinnedSamples(float, 100)
     for place in range(100_000):
@@ -60,22 +53,6 @@ def test_a_rate_is_of_the_window_before_it() -> None:
     assert found[50] == pytest.approx(10.0)
     assert found[99 + round(WINDOW)] == pytest.approx(50.0)
     assert 10.0 < found[110] < 50.0
-
-
-def test_a_rate_is_of_the_last_half_minute_however_long_somebody_watches() -> None:
-    history, week, pause = SeriesBuilder(), 7 * 86_400, 300
-    for second in [*range(0, week, 60), *range(week, week + pause)]:
-        fresh = 100.0 * min(second, week)  # then nothing comes any more
-        history.add(figures(seconds=float(second), rate=fresh / second if second else 0.0), 1000.0 + second)
-    assert len(history.series.at) <= MAX_POINTS
-    assert history.series.rate[-1] == pytest.approx(0.0, abs=1e-3)
-
-
-def test_the_first_rate_is_that_since_the_coordinator_began() -> None:
-    history = SeriesBuilder()
-    history.add(figures(seconds=10.0, rate=25.0), 1000.0)
-    assert history.series.rate == [25.0]
-    assert rates(0.0) == [0.0]
 
 
 def test_a_coordinator_that_begins_to_count_anew_makes_no_rate_negative_or_huge() -> None:

@@ -8,15 +8,13 @@ import pytest
 from msgspec import structs
 from prometheus_client.metrics_core import Metric
 from prometheus_client.parser import text_string_to_metric_families
-from tests.tools.monitor.sample_jobs import event, figures, run, values, views, worker
+from tests.tools.monitor.sample_jobs import event, run, values, views, worker
 
-from qdgrasp_coordinator.metrics.job_status import JobStatus, RunStatus, WorkerStatus, meanings
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.job_view import JobView
 from qdgrasp_tools.monitor.prometheus import MOST_RUNS, MOST_WORKERS, STATES, exposition
 
 STRANGE = 'a "quoted"\\ name\nof two lines, {labelled="so"} # HELP'
-UNITS = ("seconds", "bytes", "rows", "evaluations", "batches", "results")
 PROMTOOL = shutil.which("promtool")
 OUTCOMES = {one.name.lower(): int(one) for one in Outcome}
 
@@ -63,20 +61,6 @@ def test_of_all_states_a_job_is_in_one(job: JobView) -> None:
         assert held == {each: float(each == state) for each in STATES}
 
 
-def test_the_runs_of_a_job_are_counted_by_state(job: JobView) -> None:
-    counts = figures(runs=9, runs_open=2, runs_done=3, runs_failed=1)
-    told = samples(text(structs.replace(job, figures=counts)))
-    found = {key[-1]: value for key, value in told.items() if key[0] == "qdgrasp_job_runs"}
-    assert found == {"open": 2, "done": 3, "failed": 1, "waiting": 3}
-
-
-def test_shapes_are_counted_by_state() -> None:
-    told = samples(text(*views(values(scenes=10, scenes_done=4, scenes_failed=1, scenes_seconds=72.5))))
-    states = {key[-1]: value for key, value in told.items() if key[0] == "qdgrasp_job_scenes"}
-    assert states == {"done": 4, "failed": 1, "waiting": 5}
-    assert told["qdgrasp_job_scenes_cpu_seconds_total", "mugs"] == 72.5
-
-
 def test_outcomes_are_told_one_by_one(job: JobView) -> None:
     told = samples(text(job))
     assert {how: told["qdgrasp_run_outcomes_total", "mugs", how, "a"] for how in OUTCOMES} == OUTCOMES
@@ -91,26 +75,6 @@ def test_names_and_types_follow_the_conventions(job: JobView) -> None:
         assert {sample.name for sample in one.samples} <= {f"{name}_total" if one.type == "counter" else name}
         labels = {label for sample in one.samples for label in sample.labels}
         assert labels.isdisjoint({"le", "quantile", "instance"})
-
-
-def test_a_unit_stands_at_the_end_of_a_name(job: JobView) -> None:
-    families = {name.removesuffix("_total") for name in read(text(job))}
-    with_unit = {name for name in families if any(unit in name for unit in ("seconds", "bytes", "rows"))}
-    assert with_unit
-    assert all(name.endswith(UNITS) for name in with_unit)
-
-
-@pytest.mark.parametrize("kind", [RunStatus, JobStatus, WorkerStatus])
-def test_words_come_from_where_the_figures_are_defined(kind: type, job: JobView) -> None:
-    told = {one.documentation for one in read(text(job)).values()}
-    assert len(told.intersection(meanings(kind).values())) >= 5
-
-
-def test_meanings_are_those_of_the_bases_too_each_in_one_line() -> None:
-    found = meanings(RunStatus)
-    assert found["successes"] == "A finger touches the object after closing."
-    assert found["durable"] == "Rows that the recorder reports to be on disk."
-    assert not any("\n" in words for words in found.values())
 
 
 def test_a_strange_name_comes_back_as_it_was(job: JobView) -> None:
@@ -137,12 +101,6 @@ def test_of_a_job_that_nobody_speaks_for_only_counts_are_left(job: JobView, stat
     assert told["qdgrasp_job_evaluations_total", "mugs"] == 1000
     names = {key[0] for key in told}
     assert names.isdisjoint({"qdgrasp_workers", "qdgrasp_worker_rows_total", "qdgrasp_job_workers"})
-
-
-def test_several_jobs_stand_side_by_side_and_without_one_nothing_is_told() -> None:
-    assert samples(text()) == {}
-    told = samples(text(*views(values("mugs") | values("cubes"))))
-    assert {key[1] for key in told if key[0] == "qdgrasp_up"} == {"cubes", "mugs"}
 
 
 @pytest.mark.skipif(PROMTOOL is None, reason="promtool is not here; the other tests check names and types")

@@ -1,14 +1,10 @@
 """Queries read journals that changed, and no others."""
 
 import os
-import socket
-import sqlite3
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec import structs
 from msgspec.structs import asdict
 from tests.coordinator.recorded_campaigns import BUDGET, record_campaign, rows_of
 from tests.coordinator.recorded_runs import random_rows, record, record_spec, spoil_block, write_journal
@@ -19,16 +15,15 @@ from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage import success_pages
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import SuccessPage
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.monitor import queries
-from qdgrasp_tools.monitor.queries import ObjectIndex, RunIndex, has_rested
+from qdgrasp_tools.monitor.queries import ObjectIndex, RunIndex
 
 
 @pytest.fixture
@@ -69,32 +64,6 @@ def touch(folder: RunFolder, at: float) -> None:
         os.utime(file, (at, at))
 
 
-def test_a_journal_that_rests_is_opened_once_for_all_answers(folder: RunFolder, opened: list[Path]) -> None:
-    counted = RunIndex(folder.path)
-    told = [counted.page(0) for _ in range(5)]
-    assert told == told[:1] * 5
-    assert told[0].runs[0].rows == 300
-    assert len(opened) == 1
-
-
-def test_a_journal_that_changed_is_opened_again(folder: RunFolder, opened: list[Path]) -> None:
-    counted = RunIndex(folder.path)
-    counted.page(0)
-    touch(folder, 1e9 + 1)
-    counted.page(0)
-    assert len(opened) == 2
-
-
-def test_a_journal_that_changed_a_moment_ago_may_change_unseen(folder: RunFolder, opened: list[Path]) -> None:
-    counted = RunIndex(folder.path)
-    touch(folder, 4e9)
-    for _ in range(3):
-        counted.page(0)
-    assert len(opened) == 3
-    assert has_rested(((1, 1, 10**9),), 3.1)
-    assert not has_rested(((1, 1, 10**9),), 2.9)
-
-
 def test_what_is_counted_in_part_is_counted_on(folder, opened, monkeypatch) -> None:
     monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 100)
     counted = RunIndex(folder.path)
@@ -108,41 +77,6 @@ def test_a_journal_that_is_damaged_behind_its_beginning_is_left_out_of_every_ans
     spoil_block(made.path / "run.sqlite", 200)
     counted = RunIndex(made.path)
     assert [counted.page(0).runs for _ in range(3)] == [[]] * 3
-
-
-def test_a_run_whose_journal_has_a_spec_of_another_version_hides_no_other_run(campaign: Path) -> None:
-    with sqlite3.connect(campaign / "runs" / "a" / "run.sqlite") as database:
-        database.execute("UPDATE meta SET value = 'colour = 1' WHERE name = 'spec'")
-    told = RunIndex(campaign)
-    assert [entry.run for entry in told.page(0).runs] == ["run"]
-    assert told.one("a").runs == []
-
-
-def test_the_counts_of_runs_that_are_asked_for_are_kept_longest(tmp_path, make_scene, monkeypatch) -> None:
-    monkeypatch.setattr(queries, "MOST_COUNTED", 2)
-    job = JobFolder.create(tmp_path / "job", "mugs")
-    for name in "abc":
-        record(tmp_path / name, make_scene(), random_rows(30)).path.rename(job.run_path(name))
-        (job.run_path(name) / "job.json").unlink()
-        touch(RunFolder(job.run_path(name)), 1e9)
-    counted = RunIndex(job.path)
-    for name in "abac":
-        counted.one(name)
-    opened = list[Path]()
-    monkeypatch.setattr(Journal, "open", opened.append)
-    assert counted.one("a").curve is not None
-    assert opened == []
-
-
-def test_one_run_is_told_of_without_a_look_at_the_others(campaign: Path, opened: list[Path]) -> None:
-    told = RunIndex(campaign).one("b")
-    assert ([one.budget for one in told.runs], told.next) == ([1000], 0)
-    assert opened == [campaign / "runs" / "b"]
-
-
-def test_of_a_run_that_is_not_there_nothing_is_told(campaign: Path) -> None:
-    told = RunIndex(campaign).one("c")
-    assert (told.runs, told.uncounted, told.curve) == ([], 0, None)
 
 
 @pytest.mark.parametrize("run", ["a", "b"])
@@ -193,29 +127,6 @@ def test_every_success_is_shown_once_and_by_its_number(network, coordinator, pat
         assert all_finds(network) == (FOUND.tolist(), 6)
 
 
-@pytest.fixture
-def recorded(network: MemoryNetwork, coordinator: FakeCoordinator, path: Path) -> Iterator[MemoryNetwork]:
-    """The network of a recorder that has all rows."""
-    with recording(network, path):
-        coordinator.open()
-        coordinator.send(ROWS, 0, 400)
-        coordinator.hears_durable(400)
-        yield network
-
-
-def test_a_page_has_no_more_finds_than_an_answer_may_have(recorded, monkeypatch) -> None:
-    monkeypatch.setattr(success_pages, "MOST_SUCCESSES", 7)
-    assert all_finds(recorded) == (FOUND.tolist(), len(FOUND) // 7 + 1)
-
-
-def test_finds_hold_what_the_journal_holds(recorded: MemoryNetwork) -> None:
-    with recorded.session() as bus:
-        answer = messages.decode(bus.ask(KEYS.finds, parameters="run=run;from=0"), SuccessPage)
-    shown = success_pages.page_from_message(answer)
-    for column in ("outcome", "fitness", "descriptor", "base_to_object", "joints"):
-        assert np.array_equal(shown[column], ROWS[column][FOUND])
-
-
 def test_entries_count_what_is_recorded_of_each_run(network, coordinator, path) -> None:
     with recording(network, path):
         coordinator.open_runs("a", "b")
@@ -233,14 +144,6 @@ def test_entries_count_what_is_recorded_of_each_run(network, coordinator, path) 
         counted = queries.RunIndex(path).page(0).runs[0]
         assert (journal.count, later.rows) == (400, 400)
     assert asdict(later) == asdict(counted)
-
-
-def test_it_is_told_where_runs_lie(network: MemoryNetwork, coordinator: FakeCoordinator, path: Path) -> None:
-    with recording(network, path):
-        coordinator.open_runs("a", "b")
-        told = entries(network)
-    assert told.host == socket.gethostname()
-    assert [Path(run.folder) for run in told.runs] == [path / "runs" / "a", path / "runs" / "b"]
 
 
 def test_runs_are_counted_a_few_rows_at_a_time_and_left_out_until_they_are(
@@ -296,14 +199,6 @@ def test_what_cannot_be_shown_is_refused_with_the_reason(network, coordinator, p
             bus.ask(KEYS.finds, parameters=parameters)
 
 
-def test_before_a_run_is_opened_there_is_nothing_to_show(network, coordinator, path) -> None:
-    with recording(network, path):
-        coordinator.meet()
-        assert entries(network).runs == []
-        with pytest.raises(Refused, match="no run 'run'"):
-            all_finds(network)
-
-
 def object_index(job: JobFolder, monkeypatch: pytest.MonkeyPatch) -> ObjectIndex:
     """An index that makes every answer anew."""
     monkeypatch.setattr(queries, "LISTED_SECONDS", 0.0)
@@ -340,36 +235,6 @@ def test_finished_runs_are_read_once_and_what_comes_is_added(tmp_path, opened, m
     opened.clear()
     assert index.page(0).objects[0].evaluations == BUDGET
     assert opened == []
-
-
-def test_runs_for_which_there_is_no_time_are_counted_in_later_answers(library, monkeypatch) -> None:
-    index = object_index(library, monkeypatch)
-    monkeypatch.setattr(queries, "LISTING_SECONDS", -1.0)
-    assert index.page(0).uncounted == 6
-    monkeypatch.setattr(queries, "LISTING_SECONDS", 60.0)
-    assert index.page(0).uncounted == 0
-
-
-def test_runs_that_are_counted_in_part_are_not_counted_yet(campaign: Path, monkeypatch) -> None:
-    monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 100)
-    index = object_index(JobFolder(campaign), monkeypatch)
-    assert [index.page(0).uncounted for _ in range(4)] == [2, 2, 0, 0]
-
-
-def test_without_the_file_of_the_campaign_a_run_that_is_extended_goes_on(tmp_path, monkeypatch) -> None:
-    job = record_campaign(tmp_path / "parts", 2, begun=0.5, hands=("panda",))
-    (job.path / "campaign.toml").unlink()
-    (path,) = job.run_paths
-    spec = RunFolder(path).spec
-    (path / "run.sqlite").unlink()
-    write_journal(path, spec, rows_of("good"), RunFolder(path).bundle(), run=path.name)
-    index = object_index(job, monkeypatch)
-    assert index.page(0).objects[0].state == "done"
-    spec = structs.replace(spec, evaluations=2 * BUDGET)
-    (path / "spec.toml").write_text(to_toml(spec))
-    with JournalWriter.open(path) as journal:
-        journal.set_spec(to_toml(spec))
-    assert index.page(0).objects[0].state == "running"
 
 
 def test_without_the_file_of_the_campaign_objects_are_those_of_its_runs(campaign: Path) -> None:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shlex
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -10,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.tools.report.test_row_report import OUTCOMES, run_of, run_of_synergies
@@ -19,13 +17,11 @@ from qdgrasp_coordinator.metrics.niches import synergies
 from qdgrasp_coordinator.metrics.run_stats import count_rows, successes
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import FolderError, MessageError, QdgraspError, UnknownName
-from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.errors import FolderError, QdgraspError, UnknownName
 from qdgrasp_protocol.memory_bus import MemoryNetwork
-from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.monitor import queries
 from qdgrasp_tools.monitor.queries import QueryServer
-from qdgrasp_tools.monitor.records import BusRecords, FolderIndex, FolderRecords, Records, RunLocation
+from qdgrasp_tools.monitor.records import BusRecords, FolderIndex, FolderRecords, Records
 from qdgrasp_tools.monitor.web.run_cache import RunCaches
 
 
@@ -73,11 +69,6 @@ def test_jobs_of_one_name_are_told_apart(tmp_path: Path, make_scene) -> None:
     assert [shown.run(job, "run").path for job in shown.jobs] == paths
 
 
-def test_a_folder_that_is_named_twice_is_shown_once(tmp_path: Path, make_scene) -> None:
-    path = record(tmp_path / "mug", make_scene(), random_rows(5)).path
-    assert names(path, path / ".." / "mug") == {"mug": ["run"]}
-
-
 def test_what_holds_no_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FolderError, match="holds no run and no campaign, nor does a folder in it"):
         FolderIndex([tmp_path])
@@ -91,13 +82,6 @@ def test_what_is_not_there_is_named(campaign: Path) -> None:
         shown.run("paper", "three")
     with pytest.raises(UnknownName, match="Unknown job 'papers'"):
         shown.run("papers", "one")
-
-
-def test_a_run_whose_name_is_no_text_can_be_named_all_the_same(campaign: Path) -> None:
-    os.rename(os.fsencode(campaign / "runs" / "two"), os.fsencode(campaign / "runs") + b"/t\xffwo")  # noqa: PTH104
-    shown = FolderIndex([campaign])
-    assert list(shown.jobs["paper"].runs) == ["one", r"t\udcffwo"]
-    assert shown.run("paper", r"t\udcffwo").spec.gripper == "jaw"
 
 
 ROWS = random_rows(300)
@@ -142,31 +126,6 @@ def test_the_synergy_of_each_success_comes_along(tmp_path: Path, network: Memory
     assert len(set(told[0])) == 3
 
 
-@pytest.mark.parametrize("first", [1, 150, 299])
-def test_one_may_begin_anywhere(records: Records, first: int) -> None:
-    whole, part = records.page("mug", "run", 0).found, records.page("mug", "run", first).found
-    assert np.array_equal(part, whole[whole["number"] >= first])
-
-
-@pytest.mark.parametrize("first", [300, 5000])
-def test_behind_the_last_row_there_is_nothing_yet(records: Records, first: int) -> None:
-    page = records.page("mug", "run", first)
-    assert (len(page.found), page.rows) == (0, 300)
-    assert page.next >= first
-
-
-def test_pages_that_are_short_add_up(records: Records, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = records.page("mug", "run", 0).found
-    monkeypatch.setattr("qdgrasp_coordinator.storage.success_pages.page_limit", lambda joints: 7)
-    first, parts = 0, []
-    while first < 300:
-        page = records.page("mug", "run", first)
-        assert len(page.found) <= 7
-        parts.append(page.found)
-        first = page.next
-    assert np.array_equal(np.concatenate(parts), whole)
-
-
 @pytest.fixture
 def listed(folder: RunFolder, network: MemoryNetwork) -> Iterator[BusRecords]:
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
@@ -176,18 +135,6 @@ def listed(folder: RunFolder, network: MemoryNetwork) -> Iterator[BusRecords]:
 def test_a_run_is_counted_as_its_journal_is(listed: BusRecords) -> None:
     (entry,) = listed.entries("mug").runs
     assert (entry.run, entry.rows, entry.successes) == ("run", 300, len(successes(ROWS)))
-
-
-@pytest.mark.parametrize(
-    "answer", [b'{"runs": [], "host": "\xff"}', b'{"runs": 1}', b'{"runs": [], "uncounted": -1}']
-)
-def test_an_answer_that_is_no_list_of_runs_is_not_of_the_protocol(network: MemoryNetwork, answer) -> None:
-    with (
-        network.session() as bus,
-        bus.answer(Keys("mug").entries, lambda _query: answer),
-        pytest.raises(MessageError),
-    ):
-        BusRecords(network.session()).entries("mug")
 
 
 def test_how_a_run_grew_is_told_generation_by_generation(records: Records, folder: RunFolder) -> None:
@@ -200,14 +147,10 @@ def test_how_a_run_grew_is_told_generation_by_generation(records: Records, folde
     assert (curve.run, end.cells, end.robust) == ("run", totals.cells, totals.robust)
 
 
-def test_it_is_told_where_a_run_lies(records: Records, folder: RunFolder) -> None:
-    assert records.place("mug", "run") == RunLocation(str(folder.path.absolute()))
-
-
 def test_the_command_that_is_shown_prints_the_grasp(tmp_path, make_scene, network) -> None:
     path = run_of(tmp_path / "my mug", make_scene(), OUTCOMES).folder.path
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", path):
-        shown = json.loads(RunCaches(BusRecords(ours)).grasp("mug", "run", 3))
+        shown = json.loads(RunCaches(BusRecords(ours)).run("mug", "run").grasp(3))
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     command = ["sh", "-c", shown["commands"][0]]
     said = subprocess.run(command, capture_output=True, check=True, text=True, env=environment)
@@ -216,47 +159,9 @@ def test_the_command_that_is_shown_prints_the_grasp(tmp_path, make_scene, networ
     assert "outcome          shaken: some of the disturbances were survived" in said.stdout
 
 
-def test_a_recorder_s_folder_whose_name_is_no_text_breaks_nothing(folder, network) -> None:
-    odd = folder.path.rename(os.fsdecode(os.fsencode(folder.path.parent) + b"/m\xffug"))
-    with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", odd):
-        records = BusRecords(ours)
-        (entry,) = records.entries("mug").runs
-        assert entry.folder.endswith(r"m\udcffug")
-        number = int(records.page("mug", "run", 0).found["number"][0])
-        told = json.loads(RunCaches(records).grasp("mug", "run", number))
-    assert r"m\udcffug" in told["commands"][0]
-
-
-@pytest.mark.parametrize(
-    ("place", "command"),
-    [
-        (RunLocation("/data/mug", "head"), "qdgrasp show /data/mug --grasp 7  # on head"),
-        (RunLocation("/data/$(date)\n"), "qdgrasp show '/data/$(date)\\n' --grasp 7"),
-        (RunLocation("DIR", "a\nb"), "qdgrasp show DIR --grasp 7  # on a\\nb"),
-    ],
-)
-def test_a_command_is_one_line_that_says_on_which_machine(place: RunLocation, command: str) -> None:
-    assert place.commands(7)[0] == command
-
-
-def test_the_commands_that_are_shown_are_commands() -> None:
-    known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    for command in RunLocation("runs/my mug").commands(7):
-        program, name, *rest = shlex.split(command)
-        given = known[name].make_context(name, rest).params
-        assert (program, given["directory"], given["grasp"]) == ("qdgrasp", Path("runs/my mug"), 7)
-
-
 def test_what_is_not_there_is_refused(records: Records) -> None:
     with pytest.raises(QdgraspError, match="rum"):
         records.page("mug", "rum", 0)
-
-
-def test_runs_that_are_not_counted_yet_are_left_out_and_not_waited_for(folder, network, monkeypatch) -> None:
-    monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 100)
-    with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
-        told = [BusRecords(ours).entries("mug") for _ in range(3)]
-    assert [(len(one.runs), one.uncounted) for one in told] == [(0, 1), (0, 1), (1, 0)]
 
 
 def test_objects_and_single_runs_over_the_bus_are_those_of_the_folder(tmp_path, network, monkeypatch) -> None:

@@ -1,30 +1,46 @@
-"""Routes of the two sites: jobs that a monitor watches, and jobs in folders."""
+"""Routes of the two pages: jobs that a monitor watches, and jobs in folders.
 
+The state of all jobs is encoded at most twice a second, for all browsers together, and sent as server-sent
+events. Curves are sent on request.
+"""
+
+import asyncio
 import re
+import threading
+import time
 import zlib
 from asyncio import CancelledError
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from textwrap import indent
 
 import msgspec
 from anyio import CapacityLimiter, to_thread
 from msgspec import Struct
+from sse_starlette import EventSourceResponse
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route
 
-from qdgrasp_coordinator.metrics.job_status import ObjectListing
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_coordinator.metrics.job_status import (
+    JobEvent,
+    JobMeta,
+    JobStatus,
+    ObjectListing,
+    RunStatus,
+    WorkerStatus,
+)
+from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.keys import parse_number
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.text import printable
 from qdgrasp_tools.campaign.object_table import count_states, select_objects, with_events
 from qdgrasp_tools.monitor.feed import Feed
+from qdgrasp_tools.monitor.job_view import JobView
 from qdgrasp_tools.monitor.prometheus import exposition
 from qdgrasp_tools.monitor.records import FolderIndex, FolderRecords
-from qdgrasp_tools.monitor.web.run_cache import RunCaches, RunDataCaches
-from qdgrasp_tools.monitor.web.state_stream import MAX_BROWSERS, Broadcast, EventStream, PageState
+from qdgrasp_tools.monitor.web.run_cache import JobCaches, RunCache, RunCaches
 
 PAGES = Path(__file__).with_name("pages")
 PART = re.compile(r"^( *)<!-- (parts/\w+\.html) -->\n", re.MULTILINE)
@@ -34,14 +50,113 @@ PAGE_ROWS = 50  # Objects on a page
 MAX_PICTURE_THREADS = 2  # So that pictures leave room for other answers
 PICTURE_CACHING = "private, max-age=300"
 JSON = "application/json"
+STATE_SECONDS = 0.5  # Between two states that a browser gets [s]
+STUCK_SECONDS = 15.0  # A browser that takes nothing for so long is dropped [s]
+MAX_BROWSERS = 64
+MOST_WORKERS = 512  # The most workers of a job that are listed, those in trouble first; all are counted
+MOST_RUNS = 256  # The most runs of a job that are listed: first those in progress, then the latest heard
+WORKER_STATES = ("stuck", "gone", "leaving", "working", "idle")
+"""The states of workers, those in trouble first."""
 
 
-@dataclass(frozen=True)
-class Site:
-    """A page with its data."""
+class WorkersState(Struct, frozen=True, kw_only=True):
+    """The workers of a job."""
 
-    routes: list[BaseRoute]
-    end: Callable[[], None] = lambda: None  # Called when the server ends, to end streams
+    total: int
+    states: dict[str, int]  # Numbers of workers by state
+    workers: list[WorkerStatus]  # At most `MOST_WORKERS` of them
+
+    @classmethod
+    def of(cls, workers: list[WorkerStatus]) -> "WorkersState":
+        """Count workers; of too many, list those in trouble."""
+        rank = {state: number for number, state in enumerate(WORKER_STATES)}
+        shown = workers
+        if len(workers) > MOST_WORKERS:
+            shown = sorted(workers, key=lambda worker: rank.get(worker.state, 0))[:MOST_WORKERS]
+        states = dict(Counter(worker.state for worker in workers))
+        return cls(total=len(workers), states=states, workers=shown)
+
+
+class JobState(Struct, frozen=True, kw_only=True):
+    """A job as it is sent twice a second."""
+
+    job: str
+    state: str
+    silent: float  # Seconds since the last message of its coordinator
+    speed: float  # Latest counted evaluations per second
+    left: str  # Time left in words
+    obstacle: str  # Cause that keeps it from continuing, in words; empty: no obstacle
+    meta: JobMeta
+    figures: JobStatus
+    runs: list[RunStatus]  # In progress, or ended during the watch; at most `MOST_RUNS`
+    speeds: dict[str, float]  # Speeds of the runs, by their names
+    lefts: dict[str, str]  # Time left of the runs
+    team: WorkersState
+    events: list[JobEvent]
+
+    @classmethod
+    def of(cls, view: JobView) -> "JobState":
+        """Select what is sent of a job."""
+        runs = view.foremost(MOST_RUNS)
+        return cls(
+            job=view.job,
+            state=view.state,
+            silent=view.silent,
+            speed=view.history.latest_rate,
+            left=view.figures.left,
+            obstacle=view.figures.obstacle,
+            meta=view.meta,
+            figures=view.figures,
+            runs=runs,
+            speeds={one.run: view.histories[one.run].latest_rate for one in runs},
+            lefts={one.run: one.left for one in runs},
+            team=WorkersState.of(view.workers),
+            events=view.events,
+        )
+
+
+class PageState:
+    """The jobs in a feed, encoded once for all browsers."""
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+        self._lock = threading.Lock()
+        self._text = b""
+        self._encoded_at = float("-inf")
+        self.browsers = 0
+
+    def state(self) -> bytes:
+        """Return all jobs as they are now, or were a moment ago, as JSON in one line."""
+        with self._lock:
+            if time.monotonic() > self._encoded_at + STATE_SECONDS / 2:
+                jobs = [JobState.of(view) for view in self.views()]
+                link = {"linked": self._feed.is_linked, "foreign_jobs": self._feed.foreign_jobs}
+                self._text = msgspec.json.encode({"at": time.time(), **link, "jobs": jobs})
+                self._encoded_at = time.monotonic()
+            return self._text
+
+    def curves(self, job: str) -> bytes:
+        """Return the figures of a job and its runs over time as JSON, or raise `UnknownName`."""
+        views = {view.job: view for view in self.views()}
+        if job not in views:
+            raise UnknownName("job", job, views)
+        view = views[job]
+        series = {"history": view.history, "histories": view.histories}
+        return msgspec.json.encode({**series, "curves": view.curves})
+
+    def views(self) -> list[JobView]:
+        """Return the jobs as they are now."""
+        return self._feed.views()
+
+    async def events(self, stop: Stop) -> AsyncIterator[dict[str, str]]:
+        """Yield the state again and again until this process is asked to stop."""
+        self.browsers += 1
+        try:
+            while not stop.is_set:
+                yield {"data": (await to_thread.run_sync(self.state)).decode()}
+                await asyncio.sleep(STATE_SECONDS)
+        finally:
+            self.browsers -= 1
 
 
 class ObjectPage(Struct, frozen=True, kw_only=True):
@@ -64,45 +179,47 @@ class JobListing(Struct, frozen=True):
     runs: list[str]  # Names of its runs that were begun
 
 
-def live_site(feed: Feed, runs: RunCaches) -> Site:
-    """Return the site of the jobs in a feed."""
+def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
+    """Return the routes of the page of the jobs in a feed."""
     state, limiter = PageState(feed), CapacityLimiter(MAX_THREADS)
-    broadcast = Broadcast(state.state)
 
-    async def stream(request: Request) -> Response:
-        if broadcast.watchers >= MAX_BROWSERS:
+    async def stream(_request: Request) -> Response:
+        if state.browsers >= MAX_BROWSERS:
             return PlainTextResponse("Too many browsers watch already.\n", 503, {"Retry-After": "5"})
-        return EventStream(broadcast, packed="gzip" in request.headers.get("accept-encoding", ""))
+        return EventSourceResponse(state.events(stop), sep="\n", ping=0, send_timeout=STUCK_SECONDS)
 
     async def objects(request: Request) -> Response:
-        text = await to_thread.run_sync(_object_page, request, runs, state, limiter=limiter)
+        text = await to_thread.run_sync(_object_page, request, caches, state, limiter=limiter)
         return _json_if_new(request, text)
 
     def object_runs(request: Request) -> bytes:
-        return runs.object_runs(request.path_params["job"], request.query_params.get("file", ""))
+        return caches.object_runs(request.path_params["job"], request.query_params.get("file", ""))
+
+    def picture(request: Request) -> bytes:
+        return caches.object_picture(request.path_params["job"], request.path_params["run"])
 
     def metrics(_request: Request) -> Response:
         text, kind = exposition(state.views())
         return Response(text, headers={"Content-Type": kind})
 
-    routes = [
+    return [
         Route("/", lambda _: HTMLResponse(html("index"))),
         Route("/api/state", lambda _: _json(state.state())),
         Route("/api/stream", stream),
         Route("/api/jobs/{job}/curves", lambda request: _json(state.curves(request.path_params["job"]))),
-        _slow("/api/jobs/{job}/runs", lambda request: runs.runs(request.path_params["job"]), limiter),
+        _slow("/api/jobs/{job}/runs", lambda request: caches.runs(request.path_params["job"]), limiter),
         Route("/api/jobs/{job}/objects", objects),
         _slow("/api/jobs/{job}/objects/runs", object_runs, limiter),
-        _picture_route("/api/jobs/{job}/runs/{run}/picture", lambda request: runs.picture(*_run(request))),
+        _picture_route("/api/jobs/{job}/runs/{run}/picture", picture),
         Route("/metrics", metrics),
+        *_run_routes(caches, limiter),
     ]
-    return Site([*routes, *_run_routes(runs, limiter)], broadcast.end)
 
 
-def _object_page(request: Request, runs: RunCaches, state: PageState) -> bytes:
+def _object_page(request: Request, caches: JobCaches, state: PageState) -> bytes:
     """Return a page of a job's objects, searched and sorted as the address says."""
     job, query = request.path_params["job"], request.query_params
-    found = runs.objects(job)
+    found = caches.objects(job)
     told = found.objects
     for view in state.views():
         if view.job == job:
@@ -135,8 +252,8 @@ def _picture_route(path: str, draw: Callable[[Request], bytes]) -> BaseRoute:
     return Route(path, picture)
 
 
-def folder_site(index: FolderIndex) -> Site:
-    """Return the site of the jobs in folders."""
+def folder_routes(index: FolderIndex) -> list[BaseRoute]:
+    """Return the routes of the page of the jobs in folders."""
     limiter = CapacityLimiter(MAX_THREADS)
 
     def listings(_request: Request) -> bytes:
@@ -145,8 +262,8 @@ def folder_site(index: FolderIndex) -> Site:
         return msgspec.json.encode(found)
 
     page = Route("/", lambda _: HTMLResponse(html("view")))
-    runs = _run_routes(RunDataCaches(FolderRecords(index)), limiter)
-    return Site([page, _slow("/api/jobs", listings, limiter), *runs])
+    runs = _run_routes(RunCaches(FolderRecords(index)), limiter)
+    return [page, _slow("/api/jobs", listings, limiter), *runs]
 
 
 def html(name: str) -> str:
@@ -158,12 +275,15 @@ def html(name: str) -> str:
     return PART.sub(lambda part: indent(read(part[2]), part[1]), read(f"{name}.html"))
 
 
-def _run_routes(runs: RunDataCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
-    """Return the routes of one run's data, which both sites have."""
+def _run_routes(caches: RunCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
+    """Return the routes of one run's data, which both pages have."""
+
+    def run(request: Request) -> RunCache:
+        return caches.run(request.path_params["job"], request.path_params["run"])
 
     def cells(request: Request) -> bytes:
         since = _row(request.query_params.get("from", "")) or 0
-        return runs.cells(*_run(request), since, margins="margins" in request.query_params)
+        return run(request).cells(since, margins="margins" in request.query_params)
 
     def row(request: Request) -> int:
         found = _row(text := request.path_params["number"])
@@ -171,17 +291,14 @@ def _run_routes(runs: RunDataCaches, limiter: CapacityLimiter) -> list[BaseRoute
             raise InputError(f"'{text[:20]}' is not the number of a row.")
         return found
 
-    def picture(request: Request) -> bytes:
-        return runs.grasp_picture(*_run(request), row(request))
-
-    run = "/api/jobs/{job}/runs/{run}"
+    path = "/api/jobs/{job}/runs/{run}"
     return [
-        _slow(f"{run}/curve", lambda request: runs.curve(*_run(request)), limiter),
-        _slow(f"{run}/scene", lambda request: runs.scene(*_run(request)), limiter),
-        _slow(f"{run}/cells", cells, limiter, "application/octet-stream"),
-        _slow(f"{run}/grasps/{{number}}", lambda asked: runs.grasp(*_run(asked), row(asked)), limiter),
-        _picture_route(f"{run}/grasps/{{number}}/picture", picture),
-        _slow(f"{run}/settings", lambda request: runs.settings(*_run(request)), limiter),
+        _slow(f"{path}/curve", lambda request: run(request).curve(), limiter),
+        _slow(f"{path}/scene", lambda request: run(request).scene(), limiter),
+        _slow(f"{path}/cells", cells, limiter, "application/octet-stream"),
+        _slow(f"{path}/grasps/{{number}}", lambda request: run(request).grasp(row(request)), limiter),
+        _picture_route(f"{path}/grasps/{{number}}/picture", lambda asked: run(asked).picture(row(asked))),
+        _slow(f"{path}/settings", lambda request: run(request).settings(), limiter),
     ]
 
 
@@ -209,10 +326,6 @@ def _json_if_new(request: Request, text: bytes) -> Response:
     if request.headers.get("if-none-match") == tag:
         return Response(status_code=304, headers=headers)
     return Response(text, headers=headers, media_type=JSON)
-
-
-def _run(request: Request) -> tuple[str, str]:
-    return request.path_params["job"], request.path_params["run"]
 
 
 def _row(text: str) -> int | None:

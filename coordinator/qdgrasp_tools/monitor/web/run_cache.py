@@ -3,35 +3,28 @@
 One thread at a time queries an answer; the others take the one before.
 """
 
-import hashlib
 import threading
 import time
 import zlib
-from collections import OrderedDict
 from collections.abc import Callable
-from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import inf
-from pathlib import Path
 from typing import Generic, TypeVar
 
 import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from qdgrasp_assets.asset_paths import cache_folder
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins, settled_poses
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListing, RunListings
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
-from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.engine_table import EngineTable
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
-from qdgrasp_protocol.errors import BusError, FolderError, InputError, NoDataFolder, NoReply, QdgraspError
+from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
 from qdgrasp_tools.monitor.records import JobRecords, JournalId, RecordPage, Records
 from qdgrasp_tools.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
 from qdgrasp_tools.rendering.contact_sheet import PlacedHands, common_camera, paint_hands
@@ -41,7 +34,6 @@ WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one
 BUSY_SECONDS = 3.0  # After a query without an answer the next one waits so long [s]
 MAX_RUNS = 16  # Runs that are kept, as are the following; the longest unused gives way
 MAX_JOBS = 16  # Jobs whose lists of runs are kept
-MAX_CURVES = 64
 MAX_ENTRIES = 256  # Runs of single objects whose listings are kept
 MAX_DIGESTS = 4096  # Runs of which it is kept what scene they have
 MAX_PICTURES = 512  # Pictures that are kept in memory, of some 5 kB
@@ -51,10 +43,9 @@ GRASP_PIXELS = 132, 108  # Width and height of one
 FIRST_VIEW = -121.8, 26.2  # Azimuth and elevation from which the page looks at first [deg]
 SCENE_SECONDS = 300.0  # A run's scene is not asked for again for so long [s]
 LAST_ROW = (1 << 32) - 1  # Behind every row of a journal: what is read from there on is empty
-OBJECTS_SECONDS = 5.0  # Objects are not read again for so long [s]
 MAX_SCENES = 2  # Scenes of a run: another journal may have another one
 FRESH_SECONDS = 0.25  # Successes are not read again for so long [s]
-LISTED_SECONDS = 5.0  # Nor are lists of runs and curves [s]
+LISTED_SECONDS = 5.0  # Nor are lists of runs or objects, and curves [s]
 SCENE_WAIT_SECONDS = 1.0  # Successes are read for so long before an answer is given with those that came [s]
 MARGIN_SECONDS = 0.25  # Margins are computed for so long before an answer is given [s]
 MARGINS_AT_ONCE = 4  # Margins, 10 to 40 ms, between two looks at the clock
@@ -188,6 +179,7 @@ class RunCache:
 
         self._scenes = made_once(MAX_SCENES, scene)
         self._pictures = made_once(MAX_GRASP_PICTURES, self._draw)
+        self._curve = TtlCache(lambda _: records.curve(job, run), lambda _: LISTED_SECONDS, clock)
         self._wants_margins = False
 
     def scene(self) -> bytes:
@@ -197,13 +189,17 @@ class RunCache:
         engines = [*scene.engines, *reading.tables]
         return msgspec.json.encode(replace(scene, origin=reading.voxels.origin, engines=engines))
 
-    def cells(self, first: int, *, margins: bool) -> bytes:
+    def cells(self, first: int, *, margins: bool = False) -> bytes:
         """Return a page of voxels from the serial `first` on, with the successes read until now.
 
         With `margins` some more of these are computed, for `MARGIN_SECONDS`, when successes are read next.
         """
         self._wants_margins |= margins
         return self._reading.get().voxels.page(first)
+
+    def curve(self) -> bytes:
+        """Return its growth, also of a run that is over: JSON of `GrowthCurve`."""
+        return msgspec.json.encode(self._curve.get())
 
     def grasp(self, number: int) -> bytes:
         """Return JSON of the `GraspView` of a journal row."""
@@ -315,133 +311,54 @@ class RunCache:
         return pages
 
 
-class ObjectPictures:
-    """Small pictures of the objects of runs, each rendered once.
+class RunCaches:
+    """Caches of single runs; `clock` gives the time [s].
 
-    They are kept in memory and in a folder; None: in the cache. A folder that cannot be written is no error:
-    pictures are then in memory alone.
-    """
-
-    def __init__(self, records: Records, folder: Path | None, clock: Callable[[], float]) -> None:
-        self._records = records
-        self._folder = folder
-
-        def digest(job: str, run: str) -> TtlCache[str]:
-            return TtlCache(
-                lambda _: records.page(job, run, LAST_ROW).origin.scene, lambda _: SCENE_SECONDS, clock
-            )
-
-        self._digests = made_once(MAX_DIGESTS, digest)
-        self._pictures: OrderedDict[str, bytes] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, job: str, run: str) -> bytes:
-        """Return the picture of a run's object: PNG; raises as `Records`."""
-        digest = self._digests(job, run).get()
-        with self._lock:
-            picture = self._pictures.pop(digest, b"") or self._read(digest) or self._render(job, run, digest)
-            self._pictures[digest] = picture
-            if len(self._pictures) > MAX_PICTURES:
-                self._pictures.popitem(last=False)
-        return picture
-
-    def _file(self, digest: str) -> Path:
-        # a digest comes over the bus
-        name = hashlib.sha256(f"{digest} {PICTURE_PIXELS}".encode()).hexdigest()
-        return (self._folder or cache_folder() / "pictures") / f"{name}.png"
-
-    def _read(self, digest: str) -> bytes:
-        """Return the picture in the folder, empty where it is not there."""
-        with suppress(OSError, NoDataFolder):
-            return self._file(digest).read_bytes()
-        return b""
-
-    def _render(self, job: str, run: str, digest: str) -> bytes:
-        picture = object_picture(self._records.scene(job, run, digest), PICTURE_PIXELS)
-        with suppress(OSError, FolderError, NoDataFolder):
-            file = self._file(digest)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            atomic_files.replace(file, picture)
-        return picture
-
-
-class RunDataCaches:
-    """Data of single runs, as a page reads them; `clock` gives the time [s].
-
-    The methods may take a while; any thread may call them. They raise a `QdgraspError` where there is no such
-    job, run or grasp, or no answer.
+    The methods of all caches may take a while; any thread may call them. They raise a `QdgraspError` where
+    there is no such job, run or grasp, or no answer.
     """
 
     def __init__(self, records: Records, clock: Callable[[], float] = time.monotonic) -> None:
-        def curve(job: str, run: str) -> TtlCache[GrowthCurve]:
-            return TtlCache(lambda _: records.curve(job, run), lambda _: LISTED_SECONDS, clock)
+        self._runs = made_once(MAX_RUNS, lambda job, run: RunCache(records, job, run, clock))
 
-        def cache(job: str, run: str) -> RunCache:
-            return RunCache(records, job, run, clock)
-
-        self._curves = made_once(MAX_CURVES, curve)
-        self._runs = made_once(MAX_RUNS, cache)
-
-    def curve(self, job: str, run: str) -> bytes:
-        """Return the curve of a run, also of one that is over: JSON of `GrowthCurve`."""
-        return msgspec.json.encode(self._curves(job, run).get())
-
-    def scene(self, job: str, run: str) -> bytes:
-        """Return the object, the hand and the bounds of a run: JSON of `BrowserScene`."""
-        return self._runs(job, run).scene()
-
-    def cells(self, job: str, run: str, since: int, *, margins: bool = False) -> bytes:
-        """Return a page of voxels from the serial `since` on, as `scene_data` packs them.
-
-        Margins are computed as long as they are asked for, and come with voxels that come again.
-        """
-        return self._runs(job, run).cells(since, margins=margins)
-
-    def grasp(self, job: str, run: str, number: int) -> bytes:
-        """Return the success in a journal row: JSON of `GraspView`."""
-        return self._runs(job, run).grasp(number)
-
-    def grasp_picture(self, job: str, run: str, number: int) -> bytes:
-        """Return a small picture of the success in a journal row: PNG with a transparent ground."""
-        return self._runs(job, run).picture(number)
-
-    def settings(self, job: str, run: str) -> bytes:
-        """Return what a run was asked for and how it is simulated: JSON of names and words."""
-        return self._runs(job, run).settings()
+    def run(self, job: str, run: str) -> RunCache:
+        """Return the cache of a run."""
+        return self._runs(job, run)
 
 
-class RunCaches(RunDataCaches):
-    """Data of single runs, and lists of runs and objects, with pictures of the objects."""
+class JobCaches(RunCaches):
+    """Caches of runs, of lists of runs and objects, and of pictures of the objects."""
 
     def __init__(self, records: JobRecords, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(records, clock)
 
-        def listings(job: str) -> TtlCache[RunListings]:
-            return TtlCache(lambda _: records.entries(job), lambda _: LISTED_SECONDS, clock)
+        def kept(
+            most: int, query: Callable[..., T], fresh: Callable[[T], float] = lambda _: LISTED_SECONDS
+        ) -> Callable[..., TtlCache[T]]:
+            return made_once(most, lambda *key: TtlCache(lambda _: query(*key), fresh, clock))
 
-        def entry(job: str, run: str) -> TtlCache[tuple[RunListing, ...]]:
-            return TtlCache(
-                lambda _: tuple(filter(None, (records.entry(job, run),))), lambda _: LISTED_SECONDS, clock
-            )
+        def entry(job: str, run: str) -> tuple[RunListing, ...]:
+            return tuple(filter(None, (records.entry(job, run),)))
 
-        def objects(job: str) -> TtlCache[ObjectListings]:
-            return TtlCache(
-                lambda _: records.objects(job),
-                lambda found: 0.0 if found.uncounted else OBJECTS_SECONDS,
-                clock,
-            )
-
-        self._listings = made_once(MAX_JOBS, listings)
-        self._entries = made_once(MAX_ENTRIES, entry)
-        self._objects = made_once(MAX_JOBS, objects)
-        self._pictures = ObjectPictures(records, None, clock)
+        self._listings = kept(MAX_JOBS, records.entries)
+        self._entries = kept(MAX_ENTRIES, entry)
+        self._objects = kept(
+            MAX_JOBS, records.objects, lambda found: 0 if found.uncounted else LISTED_SECONDS
+        )
+        self._scenes = kept(
+            MAX_DIGESTS,
+            lambda job, run: records.page(job, run, LAST_ROW).origin.scene,
+            lambda _: SCENE_SECONDS,
+        )
+        self._pictures: dict[str, bytes] = {}  # by scene
+        self._records = records
 
     def runs(self, job: str) -> bytes:
         """Return the runs of a job, finished ones too: JSON of `RunListings`."""
         return msgspec.json.encode(self._listings(job).get())
 
     def objects(self, job: str) -> ObjectListings:
-        """Return all objects of a job, with what they got."""
+        """Return all objects of a job, with their counts."""
         return self._objects(job).get()
 
     def object_runs(self, job: str, file: str) -> bytes:
@@ -450,6 +367,11 @@ class RunCaches(RunDataCaches):
         runs = [entry for name in names for entry in self._entries(job, name).get()]
         return msgspec.json.encode(RunListings(runs=runs))
 
-    def picture(self, job: str, run: str) -> bytes:
+    def object_picture(self, job: str, run: str) -> bytes:
         """Return a small picture of a run's object: PNG with a transparent ground."""
-        return self._pictures.get(job, run)
+        digest = self._scenes(job, run).get()
+        if digest not in self._pictures:
+            while len(self._pictures) >= MAX_PICTURES:
+                self._pictures.pop(next(iter(self._pictures)), None)
+            self._pictures[digest] = object_picture(self._records.scene(job, run, digest), PICTURE_PIXELS)
+        return self._pictures[digest]

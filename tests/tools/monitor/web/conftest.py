@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from numpy.typing import ArrayLike
+from starlette.routing import BaseRoute
 from starlette.testclient import TestClient
 from tests import browser
 from tests.common import PATIENCE, free_port
@@ -41,10 +42,9 @@ from qdgrasp_tools.monitor.job_model import JobModels
 from qdgrasp_tools.monitor.job_view import JobView
 from qdgrasp_tools.monitor.records import JournalId, RecordPage, RunLocation
 from qdgrasp_tools.monitor.web import scene_data
-from qdgrasp_tools.monitor.web.access import Access
-from qdgrasp_tools.monitor.web.routes import Site, live_site
-from qdgrasp_tools.monitor.web.run_cache import RunCaches
-from qdgrasp_tools.monitor.web.server import application, serve
+from qdgrasp_tools.monitor.web.routes import live_routes
+from qdgrasp_tools.monitor.web.run_cache import JobCaches
+from qdgrasp_tools.monitor.web.server import Access, application, serve
 
 HERE = "127.0.0.1"
 BUDGET = 90_000
@@ -167,8 +167,38 @@ def _worker(number: int, is_gone: bool, told: int) -> WorkerStatus:
     return sample_jobs.worker(number, state="gone" if is_gone else "working", rows=told // 4, **own, **doing)
 
 
+@dataclass
+class FakeRun:
+    """A run without successes."""
+
+    name: str
+
+    def curve(self) -> bytes:
+        return b'{"run":"","points":[]}'
+
+    def scene(self) -> bytes:
+        if self.name != "mug" and not self.name.startswith("panda"):
+            raise UnknownName("run", self.name, ["mug"])
+        return msgspec.json.encode(STAGE)
+
+    def cells(self, first: int, *, margins: bool = False) -> bytes:
+        return scene_data.HEADER.pack(scene_data.MARK, 0, first, 0, 0, 7)
+
+    def grasp(self, number: int) -> bytes:
+        return b'{"number":%d}' % number
+
+    def picture(self, number: int) -> bytes:
+        return b"picture %d" % number
+
+    def settings(self) -> bytes:
+        return b'{"method":"aimed"}'
+
+
 class FakeLibrary:
-    """A library of runs without finds; it has no list of those of the job `hands`."""
+    """A library of runs without successes; it has no list of those of the job `hands`."""
+
+    def run(self, job: str, run: str) -> FakeRun:
+        return FakeRun(run)
 
     def runs(self, job: str) -> bytes:
         if job == "hands":
@@ -181,28 +211,8 @@ class FakeLibrary:
     def object_runs(self, job: str, file: str) -> bytes:
         return b'{"runs":[],"next":0,"uncounted":0}'
 
-    def picture(self, job: str, run: str) -> bytes:
+    def object_picture(self, job: str, run: str) -> bytes:
         raise UnknownName("run", run, ["mug"])
-
-    def curve(self, job: str, run: str) -> bytes:
-        return b'{"run":"","points":[]}'
-
-    def scene(self, job: str, run: str) -> bytes:
-        if run != "mug" and not run.startswith("panda"):
-            raise UnknownName("run", run, ["mug"])
-        return msgspec.json.encode(STAGE)
-
-    def cells(self, job: str, run: str, since: int, *, margins: bool = False) -> bytes:
-        return scene_data.HEADER.pack(scene_data.MARK, 0, since, 0, 0, 7)
-
-    def grasp(self, job: str, run: str, number: int) -> bytes:
-        return b'{"number":%d}' % number
-
-    def grasp_picture(self, job: str, run: str, number: int) -> bytes:
-        return b"picture %d" % number
-
-    def settings(self, job: str, run: str) -> bytes:
-        return b'{"method":"aimed"}'
 
 
 CORNERS = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0], [0, 0, 0.05]], "<f4")
@@ -364,26 +374,28 @@ def feed() -> FakeFeed:
 
 
 def client(
-    feed: FakeFeed, access: Access | None = None, library: FakeLibrary | RunCaches | None = None
+    feed: FakeFeed, access: Access | None = None, library: FakeLibrary | JobCaches | None = None
 ) -> TestClient:
     """A client on this machine."""
-    app = application(live_site(feed, library or FakeLibrary()), access or Access(local=True))
+    app = application(live_routes(feed, library or FakeLibrary(), Stop()), access or Access(local=True))
     return TestClient(app, base_url="http://localhost:8080", follow_redirects=False)
 
 
 def serving(
-    feed: FakeFeed, port: int = 0, token: str = "", library: FakeLibrary | RunCaches | None = None
+    feed: FakeFeed, port: int = 0, token: str = "", library: FakeLibrary | JobCaches | None = None
 ) -> AbstractContextManager[str]:
     """A server of a live page in a thread; gives its address, and ends it in the end."""
-    return serving_site(live_site(feed, library or FakeLibrary()), port, token)
+    return serving_routes(lambda stop: live_routes(feed, library or FakeLibrary(), stop), port, token)
 
 
 @contextmanager
-def serving_site(site: Site, port: int = 0, token: str = "") -> Iterator[str]:
-    """The same of any site; without a port at any that is free."""
+def serving_routes(
+    routes: Callable[[Stop], list[BaseRoute]], port: int = 0, token: str = ""
+) -> Iterator[str]:
+    """The same of any page; without a port at any that is free."""
     port = port or free_port()
     stop, open_at = Stop(), Queue[str]()
-    thread = threading.Thread(target=serve, args=(site, HERE, port, token, stop, open_at.put))
+    thread = threading.Thread(target=serve, args=(routes(stop), HERE, port, token, stop, open_at.put))
     thread.start()
     try:
         assert open_at.get(timeout=PATIENCE).startswith(f"http://{HERE}:{port}/")

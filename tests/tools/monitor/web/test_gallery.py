@@ -1,24 +1,20 @@
 """The best grasps as pictures, two grasps beside each other, and a grasp as a file, in a browser."""
 
-import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from PIL import Image
 from tests import browser
 from tests.browser import expect
 from tests.coordinator.scenes import made_scene
 from tests.tools.monitor.web import test_scene
 from tests.tools.monitor.web.conftest import HandMadeRecords, finds
 
-from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.records import JournalId
-from qdgrasp_tools.monitor.web.run_cache import GRASP_PIXELS, RunCaches
+from qdgrasp_tools.monitor.web.run_cache import RunCaches
 
 Page = Any
 records = test_scene.records
@@ -63,14 +59,6 @@ def test_a_picture_selects_its_grasp_and_is_marked_however_that_was_selected(pag
 
 
 @browser.needed
-def test_pictures_are_of_what_passes_the_filters_and_of_what_is_found(page, records) -> None:
-    records.record(finds([12], [(0, 0, 9)], [Outcome.HELD]))
-    expect(page.locator("#scene-best button span")).to_have_text(["8", "9", "12", "4", "3"])
-    page.locator("#scene-key").get_by_role("button", name="all survived").click()
-    expect(page.locator("#scene-best button span")).to_have_text(["4", "3"])
-
-
-@browser.needed
 def test_two_grasps_stand_beside_each_other_seen_from_one_side(page: Page) -> None:
     page.keyboard.press("n")
     page.get_by_role("button", name="Keep beside").click()
@@ -109,17 +97,6 @@ def drag(page: Page, canvas: str) -> None:
 
 
 @browser.needed
-def test_a_kept_grasp_of_another_job_is_let_go(page: Page, records: HandMadeRecords) -> None:
-    page.keyboard.press("n")
-    page.get_by_role("button", name="Keep beside").click()
-    expect(page.locator("#beside")).to_be_visible()
-    many = finds(range(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30)
-    records.become(made_scene("claw"), JournalId("2" * 64, 2.0), many)
-    expect(page.locator("#scene-words")).to_contain_text("30 cells")
-    expect(page.locator("#beside")).to_be_hidden()
-
-
-@browser.needed
 def test_a_grasp_is_a_file_with_its_frames_and_units(page: Page) -> None:
     page.keyboard.press("n")
     with page.expect_download() as download:
@@ -134,39 +111,9 @@ def test_a_grasp_is_a_file_with_its_frames_and_units(page: Page) -> None:
     assert not {"frames", "commands"} & told.keys()
 
 
-@browser.needed
-def test_the_settings_are_read_when_they_are_opened(page: Page) -> None:
-    shown = page.locator("#scene-settings dt")
-    expect(shown).to_have_count(0)
-    page.locator("#scene-settings summary").click()
-    expect(shown.filter(has_text="method")).to_have_count(1)
-    expect(page.locator("#scene-settings dd").filter(has_text="Apache-2.0")).to_have_count(2)
-
-
-def test_a_picture_is_drawn_once_and_shows_hand_and_object_on_a_clear_ground(records) -> None:
-    runs = RunCaches(records, clock=lambda: records.now)
-    pictures = {number: runs.grasp_picture("mug", "mug", number) for number in (8, 9)}
-    assert pictures[8] != pictures[9]
-    layers = np.array(Image.open(io.BytesIO(pictures[8])))
-    assert layers.shape == (*GRASP_PIXELS[::-1], 4)
-    assert layers[0, 0, 3] == 0
-    assert {*np.unique(layers[..., 3])} > {0, 255}  # the palm is like glass
-    asked = records.asked
-    assert runs.grasp_picture("mug", "mug", 8) is pictures[8]
-    assert records.asked == asked
-    with pytest.raises(InputError, match="Row 5 of the journal of 'mug' is no success"):
-        runs.grasp_picture("mug", "mug", 5)
-
-
 def test_in_another_journal_the_same_number_is_another_picture(records: HandMadeRecords) -> None:
-    runs = RunCaches(records, clock=lambda: records.now)
-    before = runs.grasp_picture("mug", "mug", 8)
+    cache = RunCaches(records, clock=lambda: records.now).run("mug", "mug")
+    before = cache.picture(8)
     records.become(made_scene(), JournalId("2" * 64, 2.0), finds([8], [(9, 9, 9)], [Outcome.HELD]))
     records.now += 100
-    assert runs.grasp_picture("mug", "mug", 8) != before
-
-
-def test_settings_are_those_of_the_run_and_of_its_scene(records: HandMadeRecords) -> None:
-    told = json.loads(RunCaches(records).settings("mug", "mug"))
-    expected = {"method": "aimed", "seed": "7", "engine": "bullet", "object's mass": "100 g"}
-    assert expected.items() <= told.items()
+    assert cache.picture(8) != before

@@ -9,19 +9,17 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests import browser
-from tests.browser import PHONE, expect
+from tests.browser import expect
 from tests.coordinator.recorded_campaigns import SKIPPED
 from tests.coordinator.scenes import made_scene
 from tests.tools.monitor.sample_jobs import event, run, values
 from tests.tools.monitor.web.conftest import (
-    STAGE,
     FakeFeed,
     FakeLibrary,
-    HandMadeRecords,
+    FakeRun,
     client,
     serving,
 )
-from tests.tools.monitor.web.test_page import CONTRAST, NAMELESS
 
 from qdgrasp_coordinator.metrics.job_status import JobEvents, ObjectListings, RunListing, RunListings, to_json
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS
@@ -29,7 +27,6 @@ from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
 from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
-from qdgrasp_tools.monitor.web.run_cache import ObjectPictures
 from qdgrasp_tools.rendering.views import object_picture
 
 Page = Any
@@ -81,10 +78,10 @@ class ObjectLibrary(FakeLibrary):
         ]
         return to_json(RunListings(runs=listings))
 
-    def scene(self, job: str, run: str) -> bytes:
-        return msgspec.json.encode(STAGE)
+    def run(self, job: str, run: str) -> FakeRun:
+        return FakeRun("mug")
 
-    def picture(self, job: str, run: str) -> bytes:
+    def object_picture(self, job: str, run: str) -> bytes:
         self.pictured.add(run)
         return self.png
 
@@ -136,11 +133,6 @@ def test_the_server_sorts_and_searches(parts, objects) -> None:
     assert ask(parts, objects, search="no such object").json()["objects"] == []
 
 
-def test_an_unknown_column_is_refused_in_a_sentence(parts, objects) -> None:
-    answer = ask(parts, objects, sort="grabs")
-    assert (answer.status_code, "Known: cells" in answer.json()["error"]) == (404, True)
-
-
 def test_what_the_coordinator_says_stands_at_the_objects(parts, objects) -> None:
     (coarse,), (failed,), (building,) = (
         ask(parts, objects, search=f"part_{number}").json()["objects"] for number in ("001", "299", "250")
@@ -153,18 +145,6 @@ def test_what_the_coordinator_says_stands_at_the_objects(parts, objects) -> None
     }  # fmt: skip
 
 
-def test_a_page_that_did_not_change_is_not_sent_again(parts, objects) -> None:
-    first = ask(parts, objects)
-    again = ask(parts, objects, {"If-None-Match": first.headers["etag"]})
-    assert (again.status_code, again.content) == (304, b"")
-    other = ask(parts, objects, {"If-None-Match": first.headers["etag"]}, search="part_001")
-    assert other.status_code == 200
-
-
-def test_a_job_without_a_recorder_has_no_table(parts, objects) -> None:
-    assert client(parts, library=objects).get("/api/jobs/mug/objects").status_code == 503
-
-
 def test_a_picture_shows_the_object_on_a_clear_ground() -> None:
     picture = np.asarray(Image.open(io.BytesIO(object_picture(made_scene(), 64))))
     assert picture.shape == (64, 64, 4)
@@ -173,25 +153,6 @@ def test_a_picture_shows_the_object_on_a_clear_ground() -> None:
     edge = picture[(picture[..., 3] > 20) & (picture[..., 3] < 235)]
     assert len(edge)
     assert edge[:, 2].max() < 230  # clay, and not mixed with the white of the renderer
-
-
-def test_a_picture_is_rendered_once_and_kept_in_the_folder(tmp_path, monkeypatch) -> None:
-    records = HandMadeRecords(made_scene())
-    first = ObjectPictures(records, tmp_path, lambda: records.now).get("parts", "run")
-    monkeypatch.setattr("qdgrasp_tools.monitor.web.run_cache.object_picture", lambda *_: b"")
-    assert ObjectPictures(records, tmp_path, lambda: records.now).get("parts", "run") == first
-    kept = ObjectPictures(records, tmp_path / "file", lambda: records.now)
-    (tmp_path / "file").touch()
-    assert kept.get("parts", "run") == b""  # rendered, and kept in memory alone
-    monkeypatch.setenv("QDGRASP_CACHE", "~nobody-of-that-name/cache")
-    assert ObjectPictures(records, None, lambda: records.now).get("parts", "run") == b""
-
-
-def test_a_picture_comes_with_its_type_and_is_kept_by_the_browser(parts, objects) -> None:
-    answer = client(parts, library=objects).get("/api/jobs/parts/runs/panda-part_000-s0/picture")
-    assert (answer.headers["content-type"], answer.content) == ("image/png", objects.png)
-    assert "max-age" in answer.headers["cache-control"]
-    assert client(parts).get("/api/jobs/parts/runs/other/picture").status_code == 404
 
 
 @pytest.fixture
@@ -234,31 +195,6 @@ def test_a_search_leaves_what_was_asked_for(look: Look, place: str) -> None:
 
 
 @browser.needed
-def test_objects_are_sorted_by_keyboard_and_the_head_says_so(look: Look, place: str) -> None:
-    page = look(place)
-    head = page.locator("#objects th[data-name=cells]")
-    head.get_by_role("button").focus()
-    page.keyboard.press("Enter")
-    expect(head).to_have_attribute("aria-sort", "descending")
-    expect(page.locator("#objects tbody a").first).to_have_text("part_199")
-    page.keyboard.press("Enter")
-    expect(head).to_have_attribute("aria-sort", "ascending")
-    expect(page.locator("#objects tbody a").first).to_have_text("part_006")
-
-
-@browser.needed
-def test_pictures_are_asked_for_where_they_are_seen(look: Look, place: str, objects: ObjectLibrary) -> None:
-    page = look(place)
-    picture = page.locator("#objects img").first
-    page.wait_for_function("() => document.querySelector('#objects img')?.naturalWidth === 96")
-    expect(picture).to_have_attribute("src", "api/jobs/parts/runs/panda-part_000-s0/picture")
-    assert 0 < len(objects.pictured) <= 50
-    page.get_by_role("searchbox").fill("waiting")
-    expect(page.locator("#objects-range")).to_have_text("1 to 50 of 98")
-    assert page.locator("#objects img[src]").count() == 0  # there is no scene yet
-
-
-@browser.needed
 def test_an_object_leads_to_its_runs_and_back(look: Look, place: str) -> None:
     page = look(place)
     expect(page.locator("#runs-words")).to_contain_text("those that have ended are shown with their object")
@@ -272,30 +208,3 @@ def test_an_object_leads_to_its_runs_and_back(look: Look, place: str) -> None:
     page.get_by_role("link", name="All runs").click()
     expect(page.locator("#objects tr[data-state~=chosen]")).to_have_count(0)
     expect(page.locator("#name")).to_have_text("parts")
-
-
-@browser.needed
-def test_a_job_without_a_table_of_objects_shows_none(look: Look, place: str) -> None:
-    page = look(place.replace("parts", "hands"))
-    expect(page.locator("#workers tbody tr").first).to_be_visible()
-    expect(page.locator("#objects-panel")).to_be_hidden()
-
-
-@browser.needed
-def test_a_phone_shows_the_table_without_scrolling_sideways(look: Look, place: str) -> None:
-    page = look(place, phone=True)
-    expect(page.locator("#objects tbody tr")).to_have_count(50)
-    assert page.evaluate("() => document.documentElement.scrollWidth") == PHONE["width"]
-    box = page.locator("#objects-panel .scroll")
-    width, room = box.evaluate("(node) => [node.scrollWidth, node.clientWidth]")
-    assert width <= room
-    expect(page.locator("#objects small.note").nth(6)).to_be_visible()
-
-
-@browser.needed
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_the_table_is_readable_and_whatever_can_be_used_has_a_name(look, place, theme) -> None:
-    page = look(place, color_scheme=theme)
-    expect(page.locator("#objects tbody tr")).to_have_count(50)
-    assert [(words, round(ratio, 2)) for words, ratio in page.evaluate(CONTRAST) if ratio < 4.5] == []
-    assert page.evaluate(NAMELESS) == []

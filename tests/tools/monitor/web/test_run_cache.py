@@ -1,26 +1,24 @@
 import json
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
-from tests.common import PATIENCE
 from tests.tools.monitor.web.conftest import ORIGIN, HandMadeRecords, engine_table, finds, random_finds
 from tests.tools.monitor.web.test_scene_data import columns_of, in_cells, read, settled
 
 from qdgrasp_assets.scene import Scene, SceneObject
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
-from qdgrasp_protocol.errors import InputError, NoReply, UnknownName
+from qdgrasp_protocol.errors import InputError, NoReply
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.records import JournalId, RecordPage
 from qdgrasp_tools.monitor.web import run_cache
 from qdgrasp_tools.monitor.web.run_cache import (
     BUSY_SECONDS,
     FRESH_SECONDS,
-    LISTED_SECONDS,
     MARGIN_SECONDS,
+    RunCache,
     RunCaches,
 )
 from qdgrasp_tools.monitor.web.scene_data import HEADER
@@ -32,8 +30,8 @@ def records(make_scene) -> HandMadeRecords:
 
 
 @pytest.fixture
-def library(records: HandMadeRecords) -> RunCaches:
-    return RunCaches(records, lambda: records.now)
+def run(records: HandMadeRecords) -> RunCache:
+    return RunCaches(records, lambda: records.now).run("job", "run")
 
 
 def test_what_two_threads_ask_for_first_is_made_once() -> None:
@@ -62,123 +60,74 @@ def half(scene: Scene) -> Scene:
     return replace(scene, gripper=replace(scene.gripper, joints=scene.gripper.joints[:1]))
 
 
-def test_all_that_was_found_is_shown_at_once(records: HandMadeRecords, library: RunCaches) -> None:
+def test_all_that_was_found_is_shown_at_once(records: HandMadeRecords, run: RunCache) -> None:
     records.record(random_finds(50))
-    _, more, shown = read(library.cells("job", "run", 0))
+    _, more, shown = read(run.cells(0))
     assert not more
     assert len({place for place, *_ in shown.values()}) == len(np.unique(records.found["descriptor"], axis=0))
 
 
-def test_what_is_found_later_is_added(records: HandMadeRecords, library: RunCaches) -> None:
+def test_what_is_found_later_is_added(records: HandMadeRecords, run: RunCache) -> None:
     records.record(finds([0], [(1, 0, 0)], [Outcome.HELD]))
-    upto, _, _ = read(library.cells("job", "run", 0))
+    upto, _, _ = read(run.cells(0))
     records.record(finds([1], [(2, 0, 0)], [Outcome.HELD]))
     records.now += FRESH_SECONDS
-    assert in_cells(library.cells("job", "run", upto)) == {(2, 0, 0): (1, Outcome.HELD)}
+    assert in_cells(run.cells(upto)) == {(2, 0, 0): (1, Outcome.HELD)}
 
 
-def test_many_browsers_cost_the_recorder_no_more_than_one(records, library) -> None:
+def test_many_browsers_cost_the_recorder_no_more_than_one(records, run) -> None:
     records.record(random_finds(4))
-    assert len({library.cells("job", "run", 0) for _ in range(20)}) == records.asked == 1
+    assert len({run.cells(0) for _ in range(20)}) == records.asked == 1
     records.now += FRESH_SECONDS
-    library.cells("job", "run", 0)
+    run.cells(0)
     assert records.asked == 2
 
 
-def test_a_long_journal_is_read_over_several_answers(records, library, monkeypatch) -> None:
-    monkeypatch.setattr(run_cache, "SCENE_WAIT_SECONDS", -1.0)  # out of patience after each page
-    records.record(random_finds(10))
-    first, answers, more = 0, 0, True
-    while more:
-        first, more, _ = read(library.cells("job", "run", first))
-        answers += 1
-    assert answers == 3  # four on a page
-
-
-def test_a_journal_that_fell_back_is_read_anew(records: HandMadeRecords, library: RunCaches) -> None:
+def test_a_journal_that_fell_back_is_read_anew(records: HandMadeRecords, run: RunCache) -> None:
     records.record(random_finds(50))
-    before = library.cells("job", "run", 0)
+    before = run.cells(0)
     records.found, records.rows = records.found[:0], 0
     records.record(finds([3], [(9, 9, 9)], [Outcome.DROPPED]))
     records.now += FRESH_SECONDS
-    after = library.cells("job", "run", 0)
+    after = run.cells(0)
     assert origin(after) != origin(before)
     assert in_cells(after) == {(9, 9, 9): (3, Outcome.DROPPED)}
 
 
-def test_what_holds_in_all_engines_is_flagged_as_soon_as_there_is_a_table(records, library) -> None:
+def test_what_holds_in_all_engines_is_flagged_as_soon_as_there_is_a_table(records, run) -> None:
     found = finds([2, 5, 7], [(k, 0, 0) for k in range(3)], [Outcome.HELD, Outcome.HELD, Outcome.DROPPED])
     records.record(found)
-    before = library.cells("job", "run", 0)
-    assert json.loads(library.scene("job", "run"))["engines"] == ["bullet"]
+    before = run.cells(0)
+    assert json.loads(run.scene())["engines"] == ["bullet"]
     records.tables = {"mujoco": engine_table(found, [Outcome.HELD, Outcome.SHAKEN, Outcome.HELD])}
     records.now += FRESH_SECONDS
-    after = library.cells("job", "run", 0)
-    assert json.loads(library.scene("job", "run"))["engines"] == ["bullet", "mujoco"]
+    after = run.cells(0)
+    assert json.loads(run.scene())["engines"] == ["bullet", "mujoco"]
     assert origin(after) != origin(before)
     assert columns_of(before)["in_all"].tolist() == [1, 1, 0]
     assert columns_of(after)["in_all"].tolist() == [1, 0, 0]
     records.now += FRESH_SECONDS
-    assert library.cells("job", "run", 0) == after
+    assert run.cells(0) == after
 
 
 def test_another_job_of_the_same_name_is_shown_with_its_own_scene_and_finds_alone(
-    records: HandMadeRecords, library: RunCaches, make_scene
+    records: HandMadeRecords, run: RunCache, make_scene
 ) -> None:
     records.record(random_finds(10))
-    old = json.loads(library.scene("job", "run"))
-    assert old["origin"] == origin(library.cells("job", "run", 0))
+    old = json.loads(run.scene())
+    assert old["origin"] == origin(run.cells(0))
     many = finds(np.arange(30), [(9, 9, k) for k in range(30)], [Outcome.HELD] * 30, joints=1)
     records.become(half(make_scene("half")), JournalId("2" * 64, 2.0), many)
     records.now += FRESH_SECONDS
-    cells = library.cells("job", "run", 0)
-    new = json.loads(library.scene("job", "run"))
+    cells = run.cells(0)
+    new = json.loads(run.scene())
     assert in_cells(cells).keys() == {(9, 9, k) for k in range(30)}
     assert (old["gripper"], new["gripper"]) == ("jaw", "half")
     assert new["origin"] == origin(cells) != old["origin"]
-    assert list(json.loads(library.grasp("job", "run", 3))["joints"]) == ["left"]
+    assert list(json.loads(run.grasp(3))["joints"]) == ["left"]
 
 
-def test_a_grasp_of_another_job_stands_in_its_own_scene_before_the_cells_are_asked_for(
-    records: HandMadeRecords, library: RunCaches, make_scene
-) -> None:
-    records.record(random_finds(10))
-    library.grasp("job", "run", 2)
-    found = finds([2], [(9, 9, 9)], [Outcome.HELD], joints=1)
-    records.become(half(make_scene("half")), JournalId("2" * 64, 2.0), found)
-    assert list(json.loads(library.grasp("job", "run", 2))["joints"]) == ["left"]
-
-
-def test_the_list_of_runs_is_asked_for_once_for_all_browsers(records, library) -> None:
-    for _ in range(20):
-        library.runs("job")
-    assert records.listed == 1
-    records.now += LISTED_SECONDS
-    library.runs("job")
-    assert records.listed == 2
-
-
-def test_a_recorder_that_hangs_is_waited_for_by_one_browser_alone(records, library, monkeypatch) -> None:
-    records.record(random_finds(4))
-    before = library.cells("job", "run", 0)
-    asked, over = threading.Event(), threading.Event()
-
-    def hang(*_: object) -> None:
-        asked.set()
-        assert over.wait(PATIENCE)
-        raise NoReply("nobody answers")
-
-    monkeypatch.setattr(records, "page", hang)
-    records.now += FRESH_SECONDS
-    with ThreadPoolExecutor(1) as pool:
-        waiting = pool.submit(library.cells, "job", "run", 0)
-        assert asked.wait(PATIENCE)
-        assert [library.cells("job", "run", 0) for _ in range(50)] == [before] * 50
-        over.set()
-        assert waiting.result() == before
-
-
-def test_a_recorder_that_did_not_answer_is_left_alone_for_a_while(records, library, monkeypatch) -> None:
+def test_a_recorder_that_did_not_answer_is_left_alone_for_a_while(records, run, monkeypatch) -> None:
     asked = []
 
     def away(*told: object) -> None:
@@ -188,40 +137,28 @@ def test_a_recorder_that_did_not_answer_is_left_alone_for_a_while(records, libra
     monkeypatch.setattr(records, "page", away)
     for _ in range(5):
         with pytest.raises(NoReply):
-            library.cells("job", "run", 0)
+            run.cells(0)
     assert len(asked) == 1
     records.now += BUSY_SECONDS
     with pytest.raises(NoReply):
-        library.cells("job", "run", 0)
+        run.cells(0)
     assert len(asked) == 2
 
 
-def test_a_grasp_is_told_with_what_replays_it(records: HandMadeRecords, library: RunCaches) -> None:
-    records.record(random_finds(9))
-    told = json.loads(library.grasp("job", "run", 10))
-    assert told["number"] == 10
-    assert told["commands"] == [
-        "qdgrasp show runs/mug --grasp 10",
-        "qdgrasp render runs/mug --grasp 10 -o grasp.png",
-    ]
-    scene = json.loads(library.scene("job", "run"))
-    assert set(told["frames"]) == {scene["base"], *(link["name"] for link in scene["links"])}
-
-
-def test_finds_that_lack_trials_are_asked_for_again_and_not_at_once(records, library, monkeypatch) -> None:
+def test_finds_that_lack_trials_are_asked_for_again_and_not_at_once(records, run, monkeypatch) -> None:
     found = finds([5], [(1, 0, 0)], [Outcome.HELD])
     scored = finds([5], [(1, 0, 0)], [Outcome.HELD], etas=[0.75])
     told = [RecordPage(ORIGIN, found, 5, 9)] * 3 + [RecordPage(ORIGIN, scored, 9, 9)]
     asked = []
     monkeypatch.setattr(records, "page", lambda job, run, first: asked.append(first) or told.pop(0))
-    upto, more, shown = read(library.cells("job", "run", 0))
+    upto, more, shown = read(run.cells(0))
     assert (asked, more, [(number, eta) for number, (*_, eta) in shown.items()]) == ([0, 5], False, [(5, -1)])
-    library.cells("job", "run", upto)
+    run.cells(upto)
     assert asked == [0, 5]
     records.now += FRESH_SECONDS
-    assert read(library.cells("job", "run", upto)) == (upto, False, {})
+    assert read(run.cells(upto)) == (upto, False, {})
     records.now += FRESH_SECONDS
-    assert {n: eta for n, (*_, eta) in read(library.cells("job", "run", upto))[2].items()} == {5: 0.75}
+    assert {n: eta for n, (*_, eta) in read(run.cells(upto))[2].items()} == {5: 0.75}
     assert asked == [0, 5, 5, 5]
 
 
@@ -252,66 +189,38 @@ def margins_of(page: bytes) -> dict[int, float]:
     )
 
 
-def test_margins_are_computed_a_few_at_a_time_while_they_are_asked_for(records, library, computed) -> None:
+def test_margins_are_computed_a_few_at_a_time_while_they_are_asked_for(records, run, computed) -> None:
     found = settled(range(20, 30))
     records.record(found)
     records.on_a_page = 20
     counts = []
     for margins in (False, True, True, False, True, True):
-        page = library.cells("job", "run", 0, margins=margins)
+        page = run.cells(0, margins=margins)
         counts.append(len(margins_of(page)))
         records.now += FRESH_SECONDS
     assert counts == [0, 1, 4, 4, 7, 10]  # that of the best in the cell alone at first
     assert margins_of(page) == {number: number for number in found["number"].tolist()}
     records.record(settled([40]))
-    assert margins_of(library.cells("job", "run", 0, margins=True)).keys() == {*found["number"].tolist(), 40}
+    assert margins_of(run.cells(0, margins=True)).keys() == {*found["number"].tolist(), 40}
     assert sorted(computed) == [*found["number"].tolist(), 40]
 
 
-def test_margins_of_another_journal_are_computed_anew(records, library, computed, make_scene) -> None:
-    old = settled([3, 4], [Outcome.HELD, Outcome.SHAKEN])
-    records.record(old)
-    assert margins_of(library.cells("job", "run", 0, margins=True)) == {3: 3, 4: 4}
-    records.become(make_scene(), JournalId("2" * 64, 2.0), old[1:])
-    records.now += FRESH_SECONDS
-    assert margins_of(library.cells("job", "run", 0)) == {}
-    records.now += FRESH_SECONDS
-    assert margins_of(library.cells("job", "run", 0, margins=True)) == {4: 4}
-    assert computed == [3, 4, 4]
-
-
-def test_a_row_that_is_no_success_is_no_grasp(records: HandMadeRecords, library: RunCaches) -> None:
+def test_a_row_that_is_no_success_is_no_grasp(records: HandMadeRecords, run: RunCache) -> None:
     records.record(random_finds(9))
     with pytest.raises(InputError, match="Row 11 of the journal of 'run' is no success"):
-        library.grasp("job", "run", 11)
+        run.grasp(11)
     with pytest.raises(InputError, match="Row 99"):
-        library.grasp("job", "run", 99)
+        run.grasp(99)
 
 
-def test_a_run_that_is_not_there_is_named(library: RunCaches) -> None:
-    for ask in (library.scene, lambda job, run: library.cells(job, run, 0)):
-        with pytest.raises(UnknownName, match="Unknown run 'rum'"):
-            ask("job", "rum")
-
-
-def test_only_so_many_runs_are_kept_ready(records: HandMadeRecords, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run_cache, "MAX_RUNS", 2)
-    library = RunCaches(records, lambda: records.now)
-    for job in ("a", "b", "c", "c", "b"):
-        library.cells(job, "run", 0)
-    assert records.asked == 3
-    library.cells("a", "run", 0)
-    assert records.asked == 4
-
-
-def test_what_was_read_is_shown_when_nobody_answers_any_more(records, library, monkeypatch) -> None:
+def test_what_was_read_is_shown_when_nobody_answers_any_more(records, run, monkeypatch) -> None:
     def away(*_: object) -> None:
         raise NoReply("nobody answers")
 
     records.record(random_finds(4))
-    before = library.cells("job", "run", 0)
+    before = run.cells(0)
     monkeypatch.setattr(records, "page", away)
     records.now += FRESH_SECONDS
-    assert library.cells("job", "run", 0) == before
+    assert run.cells(0) == before
     with pytest.raises(NoReply):
-        library.cells("job", "another", 0)
+        RunCaches(records).run("job", "another").cells(0)

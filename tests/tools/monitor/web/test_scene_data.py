@@ -10,11 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 from tests.tools.monitor.web.conftest import finds, random_finds
 
-from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
-from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.web import scene_data
@@ -25,7 +22,6 @@ from qdgrasp_tools.monitor.web.scene_data import (
     browser_scene,
     grasp_view,
 )
-from qdgrasp_tools.monitor.web.server import STATIC
 
 
 def positions(mesh: scene_data.TriangleMesh) -> NDArray[np.float32]:
@@ -34,36 +30,6 @@ def positions(mesh: scene_data.TriangleMesh) -> NDArray[np.float32]:
 
 def indices(mesh: scene_data.TriangleMesh) -> NDArray[np.uint32]:
     return np.frombuffer(b64decode(mesh.indices), "<u4").reshape(-1, 3)
-
-
-def scene_of(name: str, make_scene) -> Scene:
-    if name == "jaw":
-        return make_scene()
-    return replace(make_scene(), gripper=find_gripper(name).on_carrier("paper"))
-
-
-@pytest.mark.parametrize("name", ["jaw", "panda", "allegro", "barrett", "shadow"])
-def test_links_stand_where_pictures_draw_them(make_scene, name: str) -> None:
-    scene = scene_of(name, make_scene)
-    drawn, random = hand_geometry(scene.gripper), np.random.default_rng(7)
-    find = finds([4], [(3, -2, 7)], [Outcome.HELD], joints=len(scene.gripper.joints))[0]
-    for name in ("base_to_object", "settled"):
-        find[name][3:] = Rotation.random(random_state=random.integers(99)).as_quat()
-    for name in ("pregrasp", "joints"):
-        find[name] = [random.uniform(*sorted((j.opened, j.closed))) for j in scene.gripper.joints]
-    told = grasp_view(find, drawn, browser_scene(scene, drawn), [])
-    shown = {link.name: link for link in browser_scene(scene, drawn).links}
-    expected: dict[str, list[NDArray[np.float64]]]
-    for place, pose, joints in ((0, "base_to_object", "pregrasp"), (-1, "settled", "joints")):
-        expected = {}
-        for shape, vertices in drawn.place_meshes(find[pose].astype(float), find[joints].astype(float)):
-            expected.setdefault(shape.link, []).append(vertices)
-        assert told.frames.keys() - {told.base} == shown.keys() - {told.base}
-        assert shown.keys() == expected.keys()
-        for link, parts in expected.items():
-            frame = np.array(told.frames[link][place])
-            placed = Rotation.from_quat(frame[3:]).apply(positions(shown[link].mesh)) + frame[:3]
-            assert np.allclose(placed, np.concatenate(parts), rtol=0, atol=1e-6)
 
 
 @pytest.fixture
@@ -86,12 +52,6 @@ def test_the_object_stands_in_its_centre_of_mass_frame(make_scene, stands: Brows
 def test_only_links_whose_contact_counts_are_fingers(stands: BrowserScene) -> None:
     fingers = {link.name: link.finger for link in stands.links}
     assert fingers == {"palm": False, "left_finger": True, "right_finger": True}
-
-
-def test_the_kinds_of_cells_are_all_successes_from_worst_to_best(stands: BrowserScene) -> None:
-    kinds = stands.kinds
-    assert [kind.outcome for kind in kinds] == [kind for kind in Outcome if kind.is_success]
-    assert len({kind.colour for kind in kinds}) == len({kind.words for kind in kinds}) == len(kinds)
 
 
 def test_a_grasp_says_all_that_is_known_of_it(make_scene, drawn: HandGeometry) -> None:
@@ -146,28 +106,6 @@ def test_midway_the_hand_has_gone_and_turned_half_the_way_with_its_joints_half_c
         if name in middle:
             assert np.allclose(middle[name][:3], frame[:3, 3], atol=1e-6)
             assert np.allclose(Rotation.from_quat(middle[name][3:]).as_matrix(), frame[:3, :3], atol=1e-6)
-
-
-def test_the_frame_of_the_hand_s_base_is_its_pose(make_scene) -> None:
-    scene = scene_of("barrett", make_scene)
-    drawn = hand_geometry(scene.gripper)
-    find = finds([4], [(3, -2, 7)], [Outcome.HELD], joints=len(scene.gripper.joints))[0]
-    find["base_to_object"][3:] = Rotation.random(random_state=7).as_quat()
-    told = grasp_view(find, drawn, browser_scene(scene, drawn), [])
-    for pose in told.frames[told.base]:
-        assert np.allclose(pose[:3], [0.03, -0.02, 0.07], atol=1e-7)
-        assert np.allclose(np.abs(pose[3:]), np.abs(find["base_to_object"][3:]), atol=1e-6)
-
-
-def test_what_is_not_known_of_a_grasp_is_left_out(stands: BrowserScene, drawn: HandGeometry) -> None:
-    told = grasp_view(finds([4], [(3, -2, 7)], [Outcome.HELD])[0], drawn, stands, [])
-    assert (told.synergy, told.eta, told.margin, told.contacts) == ("", None, None, [])
-
-
-def test_the_page_has_the_colours_of_pictures() -> None:
-    style = (STATIC / "style.css").read_text()
-    for name, colour in zip(("dropped", "shaken", "held"), FITNESS_COLOURS, strict=True):
-        assert f"--{name}: {colour};" in style
 
 
 Cell = tuple[int, int, int]
@@ -245,16 +183,6 @@ def test_every_find_is_on_the_pages() -> None:
     assert len(kept) == len(found)
 
 
-def test_a_page_says_how_closing_went() -> None:
-    kept = VoxelPages()
-    kept.insert(np.array([settled_find(), finds([42], [(0, 0, 1)], [Outcome.DROPPED])[0]]), 43)
-    columns = columns_of(kept.page(0))
-    assert columns["penetration"] == pytest.approx([0.004, 0])
-    assert columns["motion"] == pytest.approx([0.03, np.nan], nan_ok=True)
-    assert np.isnan(columns["margin"]).all()
-    assert columns["contacts"].tolist() == [2, 0]
-
-
 def settled(numbers: Sequence[int], outcomes: ArrayLike = Outcome.HELD, etas: ArrayLike = -1) -> SuccessTable:
     """Finds in one cell whose margin can be computed, by journal number (n,)."""
     return finds(numbers, [(0, 0, 1)] * len(numbers), outcomes, etas=etas, settled=(0, 0, 0, 0, 0, 0, 1))
@@ -297,17 +225,6 @@ def test_where_there_are_too_many_the_best_of_each_cell_are_kept(monkeypatch: py
     assert len(kept) == len(best(found)) + 5
 
 
-@pytest.mark.parametrize("on_a_page", [1, 7, 100])
-def test_pages_add_up_to_the_same_however_long_they_are(monkeypatch, on_a_page) -> None:
-    found = random_finds(500)
-    kept = VoxelPages()
-    kept.insert(found, 1000)
-    whole = shown(kept)
-    monkeypatch.setattr(scene_data, "MAX_PAGE_VOXELS", on_a_page)
-    assert shown(kept) == whole
-    assert {len(page) for page in list(pages(kept))[:-1]} <= {on_a_page}
-
-
 def test_whoever_asks_on_while_finds_come_has_what_a_late_comer_gets(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene_data, "MAX_PAGE_VOXELS", 20)
     found, kept = random_finds(900), VoxelPages()
@@ -320,49 +237,3 @@ def test_whoever_asks_on_while_finds_come_has_what_a_late_comer_gets(monkeypatch
     for page in pages(kept, first):
         heard |= page
     assert heard == shown(kept) == every(found)
-
-
-def test_only_what_changed_is_on_a_later_page() -> None:
-    kept = VoxelPages()
-    kept.insert(finds([3, 5], [(0, 0, 1), (0, 0, 2)], [Outcome.DROPPED, Outcome.SHAKEN]), 6)
-    first, _, _ = read(kept.page(0))
-    kept.insert(finds([6, 7, 8], [(0, 0, 1), (0, 0, 2), (0, 0, 3)], [Outcome.SHAKEN] * 3), 9)
-    upto, more, page = read(kept.page(first))
-    assert not more
-    assert page.keys() == {6, 7, 8}
-    assert read(kept.page(upto))[2] == {}
-
-
-def test_a_find_that_is_told_again_is_news_when_its_eta_is_known() -> None:
-    kept, found = VoxelPages(), finds([3, 5], [(0, 0, 1)] * 2, [Outcome.HELD] * 2)
-    kept.insert(found, 3)
-    first, _, _ = read(kept.page(0))
-    kept.insert(found, 3)
-    assert read(kept.page(first)) == (first, False, {})
-    kept.insert(finds([3, 5], [(0, 0, 1)] * 2, [Outcome.HELD] * 2, etas=[0.25, 0.5]), 6)
-    assert {number: eta for number, (*_, eta) in read(kept.page(first))[2].items()} == {3: 0.25, 5: 0.5}
-
-
-def test_it_is_told_when_there_is_more_to_read() -> None:
-    kept = VoxelPages()
-    kept.insert(random_finds(5), 10, is_whole=False)
-    assert read(kept.page(0))[1]
-
-
-def test_there_is_an_answer_before_anything_was_found() -> None:
-    assert read(VoxelPages().page(0)) == (0, False, {})
-
-
-def test_no_more_are_kept_than_there_is_room_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scene_data, "MAX_VOXELS", 100)
-    kept, found = VoxelPages(), random_finds(2000)
-    for start in range(0, 2000, 500):
-        kept.insert(found[start : start + 500], 2 * (start + 500))
-    assert len(kept) == 100
-    assert shown(kept).keys() <= every(found).keys()
-
-
-def test_a_find_beyond_all_reach_is_left_out() -> None:
-    kept = VoxelPages()
-    kept.insert(finds([0, 1], [(10**6, 0, 0), (1, 2, 3)], [Outcome.HELD] * 2), 2)
-    assert shown(kept) == {1: ((1, 2, 3), Outcome.HELD, -1, -1)}

@@ -5,37 +5,35 @@ import json
 import os
 import re
 import socket
-import subprocess
-import sys
 import threading
-import zipfile
 from concurrent.futures import ThreadPoolExecutor
-from http.client import HTTPConnection
+from contextlib import ExitStack
 from pathlib import Path
 from socket import gethostname
+from urllib.error import HTTPError
 from urllib.request import urlopen
 
 import pytest
+from msgspec import structs
 from prometheus_client.parser import text_string_to_metric_families
 from starlette.testclient import TestClient
-from tests.common import PATIENCE, free_port
+from tests.common import PATIENCE
 from tests.coordinator.recorded_runs import random_rows, record
+from tests.tools.monitor import sample_jobs
 from tests.tools.monitor.web.conftest import HERE, STEP, FakeFeed, FakeLibrary, client, serving
 from tests.tools.monitor.web.test_scene_data import read as read_page
 
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.run_stats import successes
-from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.errors import EndpointError, ImpossibleValue
+from qdgrasp_protocol.process import Stop
 from qdgrasp_tools.monitor.records import FolderIndex
-from qdgrasp_tools.monitor.web import server
-from qdgrasp_tools.monitor.web.access import Access
-from qdgrasp_tools.monitor.web.routes import folder_site, html
-from qdgrasp_tools.monitor.web.server import STATIC, application
+from qdgrasp_tools.monitor.web import routes
+from qdgrasp_tools.monitor.web.routes import folder_routes, html
+from qdgrasp_tools.monitor.web.server import STATIC, Access, application, serve
 
 ROOT = Path(__file__).resolve().parents[4]
-PACKAGE = ROOT / "coordinator" / "qdgrasp_coordinator"
-STATIC_FILES = PACKAGE / "monitor" / "web" / "static"
-VENDOR = STATIC_FILES / "vendor"
+VENDOR = STATIC / "vendor"
 NOTICES = (ROOT / "THIRD_PARTY_NOTICES.md").read_text(encoding="utf-8")
 
 
@@ -48,32 +46,6 @@ def test_the_scripts_of_others_are_those_in_the_notices() -> None:
     there = {name: hashlib.sha256((VENDOR / name).read_bytes()).hexdigest() for name in files(VENDOR)}
     assert there
     assert there == noticed
-
-
-@pytest.mark.parametrize(
-    ("package", "script", "stated"),
-    [("three", "three.core.min.js", '="{1}"'), ("uPlot", "uPlot.iife.min.js", "(v{0}.{1}.{2})")],
-)
-def test_the_versions_in_the_notices_are_those_that_the_scripts_state(package, script, stated) -> None:
-    noticed = re.search(rf"^\| \[{package}\]\S* \| (\S+) \|", NOTICES, re.MULTILINE)
-    assert noticed
-    text = (VENDOR / package.lower() / script).read_text(encoding="utf-8")
-    assert stated.format(*noticed[1].split(".")) in text
-
-
-def test_the_wheel_holds_the_page_with_the_scripts_of_others_and_their_licences(tmp_path: Path) -> None:
-    pytest.importorskip("hatchling", reason="needs hatchling, which builds the wheel")
-    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(tmp_path)]
-    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
-    (wheel,) = tmp_path.glob("*.whl")
-    packed = set(zipfile.ZipFile(wheel).namelist())
-    for folder in (STATIC_FILES, STATIC_FILES.with_name("pages")):
-        home = folder.relative_to(PACKAGE.parent).as_posix()
-        assert {f"{home}/{name}" for name in files(folder)} <= packed
-    licences = {
-        name.partition("/vendor/")[2] for name in packed if "/licenses/" in name and "/vendor/" in name
-    }
-    assert licences == {"three/LICENSE", "uplot/LICENSE"}
 
 
 PAGES = ("index", "view")
@@ -115,13 +87,6 @@ def test_what_cannot_be_answered_is_said_in_a_sentence(feed, page, status, words
     assert words in answer.json()["error"]
 
 
-def test_names_with_anything_in_them_reach_the_library(feed: FakeFeed) -> None:
-    assert "Unknown run 'x y&?'" in client(feed).get("/api/jobs/mug/runs/x%20y%26%3F/scene").json()["error"]
-    assert client(feed).get("/api/jobs/mug/runs/mug/grasps/12").json() == {"number": 12}
-    for number in ("twelve", "-1", "5000000000", "9" * 5000):
-        assert client(feed).get(f"/api/jobs/mug/runs/mug/grasps/{number}").status_code == 404
-
-
 def test_a_library_that_hangs_keeps_nothing_else_waiting(feed, monkeypatch) -> None:
     over = threading.Event()
     monkeypatch.setattr(FakeLibrary, "runs", lambda *_: b"{}" if over.wait(PATIENCE) else b"")
@@ -152,13 +117,6 @@ def test_nothing_beside_the_page_is_handed_out(feed: FakeFeed, path: str) -> Non
     assert client(feed).get(path).status_code == 404
 
 
-def test_scripts_are_asked_for_again_and_sent_only_when_they_changed(feed: FakeFeed) -> None:
-    guest = client(feed)
-    first = guest.get("/static/app.js")
-    assert first.headers["cache-control"] == "no-cache"
-    assert guest.get("/static/app.js", headers={"if-none-match": first.headers["etag"]}).status_code == 304
-
-
 def test_large_answers_are_packed(feed: FakeFeed) -> None:
     answer = client(feed).get("/static/vendor/three/three.core.min.js")
     assert answer.headers["content-encoding"] == "gzip"
@@ -168,21 +126,6 @@ def test_large_answers_are_packed(feed: FakeFeed) -> None:
 def test_nothing_in_the_page_comes_from_elsewhere(path: Path) -> None:
     text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
     assert re.findall(r"(?:https?:)?//[\w.-]+\.\w+", text) == []
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_has_no_script_or_style_in_itself(name: str) -> None:
-    assert re.findall(r"<script(?![^>]* src=)|<style|\sstyle=|\son\w+=", html(name)) == []
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_has_all_its_parts_and_each_name_once(name: str) -> None:
-    text = html(name)
-    assert "<!-- " not in text
-    names = re.findall(r'\sid="([^"]+)"', text)
-    assert {"skip", "link", "theme", "main", "scene", "grasp", "scene-filters"} <= set(names)
-    assert len(names) == len(set(names))
-    assert text.index("<meta charset") < 1024
 
 
 def test_what_the_page_loads_is_there() -> None:
@@ -205,99 +148,32 @@ def test_the_state_is_one_line_so_that_it_can_be_an_event(feed: FakeFeed) -> Non
     assert "two\nlines" in [event["words"] for event in json.loads(text)["jobs"][1]["events"]]
 
 
-def ended(connection: socket.socket) -> bool:
-    """True where the server ends a connection; False where it answers."""
-    connection.settimeout(PATIENCE)
-    try:
-        return connection.recv(1) == b""
-    except ConnectionResetError:
-        return True
+def test_browsers_get_the_state_again_and_again_until_there_are_too_many(feed, monkeypatch) -> None:
+    monkeypatch.setattr(routes, "MAX_BROWSERS", 2)
+    with serving(feed) as address, ExitStack() as stack:
+        opened = [urlopen(f"{address}/api/stream", timeout=PATIENCE) for _ in range(2)]  # noqa: S310 - our own
+        streams = [stack.enter_context(each) for each in opened]
+        for stream in streams:
+            events = [line for line in (stream.readline() for _ in range(4)) if line.startswith(b"data: ")]
+            assert [len(json.loads(event[6:])["jobs"]) for event in events] == [2, 2]
+        with pytest.raises(HTTPError, match="503"):
+            urlopen(f"{address}/api/stream", timeout=PATIENCE)  # noqa: S310 - our own
 
 
-@pytest.mark.parametrize("begun", [b"", b"GET /api/sta", b"GET / HTTP/1.1\r\nHost: localhost\r\nA: "])
-def test_whoever_asks_nothing_is_let_go(feed, monkeypatch, begun) -> None:
-    monkeypatch.setattr(server, "FIRST_REQUEST_SECONDS", 0.2)
-    port = free_port()
-    with serving(feed, port), socket.create_connection((HERE, port)) as idle:
-        idle.sendall(begun)
-        assert ended(idle)
+def test_of_many_workers_those_in_trouble_are_listed_and_all_are_counted() -> None:
+    (many,) = sample_jobs.views(sample_jobs.values(workers=routes.MOST_WORKERS + 100))
+    workers = [*many.workers[:-1], structs.replace(many.workers[-1], state="stuck")]
+    team = routes.JobState.of(structs.replace(many, workers=workers)).team
+    assert team.total == sum(team.states.values()) == routes.MOST_WORKERS + 100
+    assert len(team.workers) == routes.MOST_WORKERS
+    assert team.workers[0].state == "stuck"
 
 
-@pytest.mark.parametrize(
-    "framing",
-    [
-        b"Content-Length: 5\r\nTransfer-Encoding: chunked",
-        b"transfer-encoding: Chunked\r\ncontent-length: 5",
-        b"Content-Length: 5\r\nContent-Length: 6",
-        b"Content-Length: 5\r\nTransfer-Encoding: identity",
-        b"Content-Length: +5",
-        b"Content-Length : 5",
-        b"Transfer-Encoding: chunked\r\nTransfer-Encoding: chunked",
-    ],
-)
-def test_a_request_that_may_end_at_two_places_is_refused_with_what_follows_it(feed, framing) -> None:
-    port = free_port()
-    hidden = b"GET /api/state HTTP/1.1\r\nHost: localhost\r\n\r\n"
-    with serving(feed, port), socket.create_connection((HERE, port)) as guest:
-        guest.settimeout(PATIENCE)
-        guest.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n" + framing + b"\r\n\r\n0\r\n\r\n" + hidden)
-        answer = b"".join(iter(lambda: guest.recv(1 << 16), b""))
-    assert re.match(rb"HTTP/1.1 (400|501) ", answer), answer
-    assert answer.count(b"HTTP/1.1 ") == 1
-
-
-def test_a_stream_that_was_asked_for_goes_on(feed: FakeFeed, monkeypatch: pytest.MonkeyPatch) -> None:
-    looked, leave = threading.Event(), server.LimitedConnection.close_if_idle
-
-    def leave_later(self: server.LimitedConnection) -> None:
-        """Check that a request came in time: on a busy machine it may be late."""
-        if self.cycle is None:
-            self.loop.call_later(0.01, self.close_if_idle)
-        else:
-            leave(self)
-            looked.set()
-
-    monkeypatch.setattr(server, "FIRST_REQUEST_SECONDS", 0.1)
-    monkeypatch.setattr(server.LimitedConnection, "close_if_idle", leave_later)
-    with serving(feed) as address:
-        stream = urlopen(f"{address}/api/stream", timeout=PATIENCE)  # noqa: S310 - our own
-        assert looked.wait(PATIENCE)
-        frames = [line for line in (stream.readline() for _ in range(12)) if line.startswith(b"data: ")]
-        stream.close()
-    assert len(frames) >= 3
-
-
-def test_one_address_does_not_take_the_room_of_others(feed, monkeypatch) -> None:
-    monkeypatch.setattr(server, "MAX_CONNECTIONS_PER_ADDRESS", 4)
-    port = free_port()
-    with serving(feed, port) as address:
-        crowd = [socket.create_connection((HERE, port)) for _ in range(8)]
-        assert ended(crowd[-1])
-        with pytest.raises(OSError, match=r"."):
-            urlopen(f"{address}/api/state", timeout=PATIENCE)  # noqa: S310 - our own
-        with socket.create_connection((HERE, port), source_address=("127.0.0.2", 0)) as other:
-            other.sendall(b"GET /api/state HTTP/1.1\r\nHost: localhost\r\n\r\n")
-            assert not ended(other)
-        for one in crowd:
-            one.close()
-
-
-def test_whoever_comes_to_a_full_house_is_asked_to_try_again(feed, monkeypatch) -> None:
-    monkeypatch.setattr(server, "MAX_CONNECTIONS", 4)
-    port = free_port()
-    with serving(feed, port):
-        guests = [HTTPConnection(HERE, port, timeout=PATIENCE) for _ in range(4)]
-        assert [asked(guest) for guest in guests] == [200, 200, 200, 503]
-        for guest in guests:
-            guest.close()
-
-
-def asked(guest: HTTPConnection) -> int:
-    """Return the status of an answer; the connection stays open."""
-    guest.request("GET", "/api/state")
-    answer = guest.getresponse()
-    answer.read()
-    return answer.status
+def test_a_port_in_use_is_an_error_that_says_so() -> None:
+    with socket.create_server((HERE, 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(EndpointError, match=f"{HERE}:{port}: Address already in use"):
+            serve([], HERE, port, "", Stop(), print)
 
 
 COOKIE = "qdgrasp-monitor-8080"
@@ -357,17 +233,6 @@ def test_the_token_in_the_address_becomes_a_cookie_that_no_script_and_no_other_p
     assert guest.get("/api/state").status_code == 200
 
 
-def test_the_cookie_of_another_port_is_another(feed: FakeFeed) -> None:
-    headers = {"cookie": f"{COOKIE}={TOKEN}", "host": "head:9090"}
-    assert client(feed, LOCKED).get("/api/state", headers=headers).status_code == 401
-
-
-def test_the_token_opens_a_page_elsewhere_under_any_name(feed: FakeFeed) -> None:
-    for host in ("head.lab.example:8080", "head", "[2001:db8::1]", "head:port", ""):
-        headers = {"authorization": f"Bearer {TOKEN}", "host": host}
-        assert client(feed, LOCKED).get("/", headers=headers).status_code == 200
-
-
 def test_a_token_can_be_asked_for_on_loopback_too(feed: FakeFeed) -> None:
     access = Access.at("127.0.0.1", TOKEN)
     assert client(feed, access).get("/api/state").status_code == 401
@@ -387,22 +252,12 @@ def test_elsewhere_there_is_always_a_token_and_each_time_another_one(host: str) 
     assert min(map(len, made)) >= 32
 
 
-def test_a_short_token_is_refused_and_not_repeated() -> None:
-    with pytest.raises(ImpossibleValue, match="at least 16 characters") as refusal:
-        Access.at("127.0.0.1", "secret")
-    assert "secret" not in str(refusal.value)
-
-
 def test_the_address_says_where_the_page_is() -> None:
     assert Access.at("127.0.0.1").address("127.0.0.1", 8080) == "http://127.0.0.1:8080/"
     assert Access.at("::1").address("::1", 8080) == "http://[::1]:8080/"
     assert gethostname() in Access.at("::").address("::", 80)
     made = Access.at("head")
     assert made.address("head", 80) == f"http://head:80/?token={made.token}"
-
-
-def test_a_token_that_somebody_chose_is_not_told() -> None:
-    assert Access.at("head", TOKEN).address("head", 80) == "http://head:80/"
 
 
 @pytest.mark.parametrize(
@@ -430,7 +285,7 @@ ROWS = random_rows(60)
 
 
 def folder_client(*paths: Path) -> TestClient:
-    app = application(folder_site(FolderIndex(paths)), Access(local=True))
+    app = application(folder_routes(FolderIndex(paths)), Access(local=True))
     return TestClient(app, base_url="http://localhost:8080", raise_server_exceptions=False)
 
 

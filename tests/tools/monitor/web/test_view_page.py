@@ -8,13 +8,13 @@ from tests import browser
 from tests.browser import PHONE, expect
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
-from tests.tools.monitor.web.conftest import serving_site
-from tests.tools.monitor.web.test_page import CONTRAST, NAMELESS, reached_by_keys
+from tests.tools.monitor.web.conftest import serving_routes
+from tests.tools.monitor.web.test_page import CONTRAST
 
 from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_tools.monitor.records import FolderIndex
-from qdgrasp_tools.monitor.web.routes import folder_site
+from qdgrasp_tools.monitor.web.routes import folder_routes
 
 pytestmark = browser.needed
 ROWS = random_rows(60, reach=0.3)
@@ -31,7 +31,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> list[RunFolder]:
 @pytest.fixture(scope="module")
 def place(runs: list[RunFolder]) -> Iterator[str]:
     """Two runs."""
-    with serving_site(folder_site(FolderIndex([runs[0].path.parent]))) as address:
+    with serving_routes(lambda _: folder_routes(FolderIndex([runs[0].path.parent]))) as address:
         yield address
 
 
@@ -72,56 +72,15 @@ def test_a_grasp_is_chosen_by_keys_with_the_commands_for_its_folder(look, place,
     assert flags.evaluate_all("flags => flags.map((flag) => flag.getClientRects().length)") == [1, 1, 1]
 
 
-def test_a_run_alone_needs_no_list(look: Look, runs: list[RunFolder]) -> None:
-    with serving_site(folder_site(FolderIndex([runs[0].path]))) as address:
-        page = look(address)
-        expect(page.get_by_role("navigation")).to_be_hidden()
-        expect(page.locator("#name")).to_have_text("bowl")
-
-
 def test_of_many_runs_some_are_found_by_parts_of_their_names(look, tmp_path, runs) -> None:
     names = [f"panda-{what}-s{seed}" for what in ("bowl", "mug") for seed in range(7)]
     for name in names:
         RunFolder.create(tmp_path / name, runs[0].spec, runs[0].bundle())
     paths = [runs[0].path, *(tmp_path / name for name in names)]
-    with serving_site(folder_site(FolderIndex(paths))) as address:
+    with serving_routes(lambda _: folder_routes(FolderIndex(paths))) as address:
         page = look(address)
         page.get_by_label("Find a run").fill("mug s3")
         expect(page.locator("#shelf a:visible")).to_have_text(["panda-mug-s3"])
-
-
-def test_keys_work_at_once_and_after_a_run_was_chosen(look: Look, place: str) -> None:
-    page = look(place)
-    page.keyboard.press("n")
-    expect(page.locator("#grasp h4")).to_be_visible()
-    page.keyboard.press("Escape")
-    expect(page.locator("#grasp")).to_be_hidden()
-    page.get_by_role("link", name="mug").click()
-    expect(page.locator("#name")).to_have_text("mug")
-    expect(page.locator("#scene-words")).to_have_text(CELLS)
-    page.keyboard.press("n")
-    expect(page.locator("#grasp h4")).to_be_visible()
-
-
-def test_keys_that_are_typed_into_something_do_nothing_else(look: Look, place: str) -> None:
-    page = look(place)
-    page.get_by_label("Most penetration [mm]").press("n")
-    page.locator("#scene-words").click()
-    page.keyboard.press("c")  # it comes after the other key, and shows that this one was through
-    expect(page.get_by_role("button", name="Leave out the cells")).to_have_attribute("aria-pressed", "true")
-    expect(page.locator("#grasp")).to_be_hidden()
-
-
-def test_a_phone_has_the_runs_in_a_list_that_closes_when_one_is_chosen(look: Look, place: str) -> None:
-    page = look(place, phone=True)
-    runs = page.locator("#run-list")
-    expect(runs.locator("summary")).to_have_text("Runs bowl, one of 2")
-    expect(page.get_by_role("link", name="mug")).to_be_hidden()
-    runs.locator("summary").click()
-    page.get_by_role("link", name="mug").click()
-    expect(page.locator("#name")).to_have_text("mug")
-    expect(runs.locator("summary")).to_have_text("Runs mug, one of 2")
-    expect(page.get_by_role("link", name="mug")).to_be_hidden()
 
 
 def test_the_settings_of_a_run_are_its_spec_and_how_it_is_simulated(look: Look, place: str) -> None:
@@ -130,15 +89,6 @@ def test_the_settings_of_a_run_are_its_spec_and_how_it_is_simulated(look: Look, 
     shown = page.locator("#scene-settings div")
     for words in ("gripperjaw", "object's mass100 g", "object's size4 x 5 x 6 cm", "hand's root linkpalm"):
         expect(shown.filter(has_text=words)).to_have_count(1)
-
-
-def test_it_says_when_its_server_has_ended(chromium: Any, runs: list[RunFolder]) -> None:
-    with serving_site(folder_site(FolderIndex([runs[0].path]))) as address:
-        visit = browser.Visit(chromium, address)
-        expect(visit.page.locator("#scene-words")).to_have_text(CELLS)
-    expect(visit.page.locator("#scene-words")).to_contain_text("Nobody answers: the page's server has ended")
-    expect(visit.page.locator("#link")).to_contain_text("not connected since")
-    visit.context.close()
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -153,16 +103,3 @@ def test_words_stand_out_and_nothing_is_wider_than_the_window(look, place, theme
     assert [(words, round(ratio, 2)) for words, ratio in contrasts if ratio < 4.5] == []
     if phone:
         assert page.evaluate("() => document.documentElement.scrollWidth") == PHONE["width"]
-
-
-def test_whatever_can_be_used_has_a_name_and_is_reached_by_keys(look: Look, place: str) -> None:
-    page = look(place)
-    assert page.evaluate(NAMELESS) == []
-    parts = {"skip", "theme", "shelf", "scene", "scene-key", "scene-best", "scene-filters", "scene-settings"}
-    assert parts <= reached_by_keys(page, 60)
-
-
-def test_all_of_it_fits_a_desk_s_window(look: Look, place: str) -> None:
-    page = look(place)
-    low = page.locator("#scene-filters").evaluate("(node) => node.getBoundingClientRect().bottom")
-    assert low <= browser.DESKTOP["height"]
