@@ -13,8 +13,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import msgspec
 import tomli_w
-from msgspec import structs
+from msgspec import Struct, structs
 
 from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_paths import named_path
@@ -26,7 +27,7 @@ from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_assets.ycb import SCANS
 from qdgrasp_coordinator.scheduler.run_plan import FLIGHT_KEYS, RUN_DEFAULTS, absolute_asset, complete_spec
 from qdgrasp_coordinator.search.registry import method, prior_of
-from qdgrasp_protocol.errors import ImpossibleValue, InputError, JawNeeded, UnknownKey, UnusableMeshes
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, JawNeeded, UnusableMeshes
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import (
     DEFAULT_METHOD,
@@ -72,8 +73,8 @@ CAMPAIGN_DEFAULTS = {"method": DEFAULT_METHOD, "generations_in_flight": 1}
 A second generation in flight from the beginning keeps the workers of a single run busy; here other runs do,
 and the search is told all that it asked.
 """
-TAKEN_FOR_GRANTED = {"aim_for": method(DEFAULT_METHOD).aim_for, "in_flight": 400}
-"""Defaults of a new campaign's runs that the campaigns of earlier versions do not have.
+WRITTEN_DEFAULTS = {"aim_for": method(DEFAULT_METHOD).aim_for, "in_flight": 400}
+"""Defaults of a campaign's runs that its file notes.
 
 A third of the genomes in flight that a single run has in the end: other runs fill the gaps.
 """
@@ -85,8 +86,17 @@ LONGEST_NAME = 64
 LARGEST_CAMPAIGN = 64 << 20  # Most characters of a campaign's file; 100 000 objects have 30 million
 CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects", "shard"})
 SHARD = re.compile(r"([1-9]\d{0,3})/([1-9]\d{0,3})")  # Share of a campaign's runs: which of how many
-OBJECT_KEYS = frozenset({"mass", "scale", "friction", "mesh", "about"})
-"""Keys of an object: left out of its runs' names, and stronger than the defaults."""
+
+
+class ObjectKeys(Struct, forbid_unknown_fields=True):
+    """What a campaign's file says of an object; its runs' specs check the values."""
+
+    mass: Any = None
+    scale: Any = None
+    friction: Any = None
+    mesh: Any = None
+    about: Any = None
+
 
 ObjectValues = Mapping[str, Mapping[str, Any]]
 """Values of `OBJECT_KEYS` of objects, by name, as far as they are known."""
@@ -135,8 +145,6 @@ def read_campaign(
     path: Path,
     *,
     here: bool = True,
-    is_begun: bool = False,
-    without: Collection[str] = (),
     goals: Mapping[str, float | None] = MappingProxyType({}),
     rules: LibraryRules = NO_RULES,
     shard: str | None = None,
@@ -144,10 +152,9 @@ def read_campaign(
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
-    `here` checks that its grippers and objects are on this machine; `is_begun`: it is that of a folder, which
-    says all that is not None; `without` are keys of `TAKEN_FOR_GRANTED` that its folder does not have;
-    `goals` are values of a spec's keys that end runs, in place of the file's defaults, and behind these
-    stands `ADAPTIVE_BUDGET` if grasps are among them; `rules` are for the libraries that it names as objects;
+    `here` checks that its grippers and objects are on this machine; `goals` are values of a spec's keys that
+    end runs, in place of the file's defaults, before which `ADAPTIVE_BUDGET` holds if grasps are among them;
+    `rules` are for the libraries that it names as objects;
     `shard` is the share of its runs that is meant, as "2/4"; None: what the file says, or all. `tell` is
     called before each mesh is checked. Raises InputError if the file is missing, is not TOML, or asks for a
     run that is not possible; the run is named.
@@ -157,8 +164,7 @@ def read_campaign(
     source["defaults"] = _with_goals(source.get("defaults", {}), goals)
     source |= {} if shard is None else {"shard": shard}
     source, skipped = _with_libraries(source, rules, tell) if here else (source, None)
-    taken = () if is_begun else TAKEN_FOR_GRANTED.keys() - set(without)
-    return replace(make_campaign(source, str(path), here=here, taken=taken), skipped=skipped)
+    return replace(make_campaign(source, str(path), here=here), skipped=skipped)
 
 
 def _with_goals(defaults: Mapping[str, Any], goals: Mapping[str, Any]) -> dict[str, Any]:
@@ -200,29 +206,17 @@ def is_campaign(path: Path) -> bool:
     return not CAMPAIGN_KEYS.isdisjoint(read_run_spec(path, LARGEST_CAMPAIGN))
 
 
-def make_campaign(
-    source: dict[str, Any],
-    where: str,
-    *,
-    here: bool = True,
-    taken: Collection[str] = frozenset(TAKEN_FOR_GRANTED),
-) -> Campaign:
-    """Make the campaign of a file's content.
-
-    It has the keys `taken` of `TAKEN_FOR_GRANTED` where the file does not say them. Other parameters and
-    errors are those of `read_campaign`.
-    """
+def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> Campaign:
+    """Make the campaign of a file's content; parameters and errors are those of `read_campaign`."""
     _check_tables(source, where)
     said = source.get("defaults", {})
     says_flight = not said.keys().isdisjoint(FLIGHT_KEYS)
     usual = {
-        key: value
-        for key, value in TAKEN_FOR_GRANTED.items()
-        if key in taken and not (key == "in_flight" and says_flight)
+        key: value for key, value in WRITTEN_DEFAULTS.items() if not (key == "in_flight" and says_flight)
     }
     source = source | {"defaults": usual | said}
     assets = AssetNames(prefer_scans=source.get("prefer_scans", False))
-    defaults = assets.resolve(CAMPAIGN_DEFAULTS | dict.fromkeys(TAKEN_FOR_GRANTED) | source["defaults"])
+    defaults = assets.resolve(CAMPAIGN_DEFAULTS | dict.fromkeys(WRITTEN_DEFAULTS) | source["defaults"])
     crosses = [assets.resolve(cross) for cross in source["cross"]]
     objects = {assets.absolute(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}
@@ -252,12 +246,12 @@ def make_campaign(
     return Campaign(runs, resolved, tuple(assets.scans), tuple(assets.stand_ins))
 
 
-def _share_of(runs: Mapping[str, RunSpec], shard: Any, where: str) -> dict[str, RunSpec]:
+def _share_of(runs: Mapping[str, RunSpec], shard: str, where: str) -> dict[str, RunSpec]:
     """Return the runs of a share, by the digests of their names.
 
     Every run is in one share of so many.
     """
-    match = SHARD.fullmatch(shard) if isinstance(shard, str) else None
+    match = SHARD.fullmatch(shard)
     part, parts = (int(match[1]), int(match[2])) if match else (1, 0)
     if part > parts:
         raise ImpossibleValue(
@@ -294,7 +288,7 @@ def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
 def _usual_spec(method: str) -> RunSpec:
     """Return a method's spec as is usual in a campaign; hand and object are empty."""
     spec = complete_spec(CAMPAIGN_DEFAULTS | {"gripper": "", "object": "", "method": method})
-    return structs.replace(spec, in_flight=TAKEN_FOR_GRANTED["in_flight"])
+    return structs.replace(spec, in_flight=WRITTEN_DEFAULTS["in_flight"])
 
 
 class AssetNames:
@@ -346,25 +340,25 @@ def _check_assets(specs: Collection[RunSpec]) -> None:
             raise JawNeeded(ANTIPODAL, Path(spec.gripper).stem)
 
 
+class CampaignTables(Struct, forbid_unknown_fields=True):
+    """The tables of a campaign's file."""
+
+    cross: list[dict[str, Any]]
+    defaults: dict[str, Any] = {}
+    objects: dict[str, ObjectKeys] = {}
+    prefer_scans: bool = False
+    shard: str | None = None
+
+
 def _check_tables(source: dict[str, Any], where: str) -> None:
-    for key in source:
-        if key not in CAMPAIGN_KEYS:
-            raise UnknownKey(where, key, sorted(CAMPAIGN_KEYS))
-    crosses = source.get("cross")
-    if not isinstance(crosses, list) or not crosses or not all(isinstance(c, dict) for c in crosses):
+    if not source.get("cross"):
         raise InputError(
             f"{where} asks for no run: give at least one [[cross]] with gripper, object, method."
         )
-    if not isinstance(source.get("defaults", {}), dict):
-        raise ImpossibleValue(f"{where}: defaults", source["defaults"], "a table of keys of a run's spec")
-    objects = source.get("objects", {})
-    if not isinstance(objects, dict) or not all(isinstance(known, dict) for known in objects.values()):
-        raise ImpossibleValue(f"{where}: objects", objects, "a table for each mesh file")
-    for name, known in objects.items():
-        if unknown := [key for key in known if key not in OBJECT_KEYS]:
-            raise UnknownKey(f"{where}: objects.'{name}'", unknown[0], OBJECT_KEYS)
-    if not isinstance(source.get("prefer_scans", False), bool):
-        raise ImpossibleValue(f"{where}: prefer_scans", source["prefer_scans"], "true or false")
+    try:
+        msgspec.convert(source, CampaignTables)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{where} cannot be read as a campaign: {error}.") from None
 
 
 def _cross_lists(
@@ -408,27 +402,24 @@ def campaign_of_meshes(
     rules: LibraryRules,
     values: Mapping[str, Any],
     *,
-    without: Collection[str] = (),
     shard: str | None = None,
     tell: Tell = ignore_progress,
 ) -> Campaign:
     """Make the campaign of all objects of a library: a manifest, or a folder of meshes.
 
-    `shard` and `tell` are those of `read_campaign`, and `without` too, of the keys of `RUN_DEFAULTS` as well.
+    `shard` and `tell` are those of `read_campaign`.
     `values` are values or lists of keys of a spec, crossed as in a campaign's file; None: not given. Raises
     InputError as `read_library`, or for a run that is not possible.
     """
-    usual = {key: value for key, value in RUN_DEFAULTS.items() if key not in without}
     library = read_library(where, rules, tell)
     cross = {key: value for key, value in values.items() if value is not None and key not in STOP_KEYS}
     source = {
-        "defaults": _with_goals(usual, {key: values.get(key) for key in STOP_KEYS}),
+        "defaults": _with_goals(RUN_DEFAULTS, {key: values.get(key) for key in STOP_KEYS}),
         "cross": [cross | {"object": list(library.objects)}],
         "objects": library.objects,
     }
     source |= {} if shard is None else {"shard": shard}
-    taken = TAKEN_FOR_GRANTED.keys() - set(without)
-    campaign = make_campaign(source, f"campaign of {where}", taken=taken)
+    campaign = make_campaign(source, f"campaign of {where}")
     return replace(campaign, skipped=library.skipped)
 
 

@@ -17,7 +17,6 @@ from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, is_in_catalog, sh
 from qdgrasp_coordinator.metrics.job_status import ObjectListing, RunListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals, count_rows
 from qdgrasp_coordinator.scheduler.run_plan import (
-    RUN_DEFAULTS,
     JobExtent,
     RunPlan,
     RunQueue,
@@ -45,11 +44,9 @@ from qdgrasp_protocol.errors import (
     RunFailed,
 )
 from qdgrasp_protocol.messages import MAX_BUNDLE
-from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_values
+from qdgrasp_protocol.spec import RunSpec, differences, run_spec, to_values
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_file import (
-    LARGEST_CAMPAIGN,
-    TAKEN_FOR_GRANTED,
     Campaign,
     read_campaign,
 )
@@ -423,7 +420,7 @@ def campaign_summary(folder: JobFolder) -> CampaignSummary:
 
 def _runs_so_far(folder: JobFolder) -> tuple[Mapping[str, RunSpec], dict[str, RunProgress]]:
     """Return the runs that a begun campaign asks for, and the counts of those that have begun."""
-    runs = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True).runs
+    runs = read_campaign(folder.path / CAMPAIGN, here=False).runs
     return runs, campaign_progress(folder, runs)
 
 
@@ -447,15 +444,6 @@ def open_campaign(path: Path) -> JobFolder:
     return folder
 
 
-def defaults_left_out(path: Path) -> frozenset[str]:
-    """Return the keys of `TAKEN_FOR_GRANTED` and `RUN_DEFAULTS` that a campaign's folder lacks."""
-    file = path / CAMPAIGN
-    if not file.is_file():
-        return frozenset()
-    said = read_run_spec(file, LARGEST_CAMPAIGN).get("defaults", {})
-    return frozenset((TAKEN_FOR_GRANTED | RUN_DEFAULTS).keys() - said.keys())
-
-
 def _check_kept(folder: JobFolder, asked: Campaign) -> None:
     file = folder.path / CAMPAIGN
     if not file.is_file():
@@ -465,7 +453,7 @@ def _check_kept(folder: JobFolder, asked: Campaign) -> None:
         )
     if file.read_bytes() == asked.toml.encode():
         return
-    lost = [name for name in read_campaign(file, is_begun=True).runs if name not in asked.runs]
+    lost = [name for name in read_campaign(file).runs if name not in asked.runs]
     if lost:
         lacking = counted(len(lost), "run that is", "runs that are")
         raise FolderError(

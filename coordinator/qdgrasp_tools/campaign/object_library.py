@@ -5,8 +5,6 @@ that cannot be used are named at once, or left out and reported where that is as
 remembered by its content (`mesh_check`).
 """
 
-import csv
-import io
 import math
 import tomllib
 from collections import Counter
@@ -21,16 +19,13 @@ from msgspec import Struct, structs
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, scale_of
 from qdgrasp_assets.mesh_check import MeshCheck, check_mesh
-from qdgrasp_coordinator.metrics.arrays import bounded_memory
-from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage.tables import csv_text, read_csv
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes
 from qdgrasp_protocol.extras import check_packages
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import ObjectRecord, run_spec
-from qdgrasp_protocol.text import counted
 
-MOST_ROWS = 1_000_000  # Rows of a manifest in Parquet, at most
 MANIFEST_FORMATS = (".csv", ".parquet", ".toml")
 COLUMNS = {
     **dict.fromkeys(("file", "id", "unit", "category", "licence", "source", "split"), str),
@@ -162,23 +157,16 @@ def mesh_fault(checked: MeshCheck, mass: float | None) -> str:
 
 def skip_report(skipped: Iterable[SkippedObject]) -> bytes:
     """Return the objects that are left out as a table in CSV."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(REPORT_COLUMNS)
-    table.writerows(structs.astuple(each) for each in skipped)
-    return text.getvalue().encode()
+    return csv_text((structs.asdict(each) for each in skipped), REPORT_COLUMNS).encode()
 
 
 def read_skip_report(report: Path) -> list[SkippedObject]:
     """Read the table of the objects that are left out; a missing one is empty."""
     if not report.is_file():
         return []
-    text = atomic_files.read(report).decode(errors="replace")
-    rows = csv.DictReader(text.splitlines(), restval="")
-    try:
-        return [SkippedObject(*(row.get(column) or "" for column in REPORT_COLUMNS)) for row in rows]
-    except csv.Error as error:
-        raise atomic_files.damaged_file(report, str(error)) from None
+    return [
+        SkippedObject(*(row[column] for column in REPORT_COLUMNS)) for row in read_csv(report, REPORT_COLUMNS)
+    ]
 
 
 def _mass(row: LibraryRow, rules: LibraryRules, checked: MeshCheck) -> float | None:
@@ -238,26 +226,16 @@ def _read_masses(table: Path) -> dict[str, float]:
     if not table.is_file():
         return {}
     try:
-        with table.open(encoding="utf-8-sig", newline="") as lines:
-            rows = [[cell.strip() for cell in row] for row in csv.reader(lines) if row]
-        header, *rest = rows
-        return {name: float(mass) for name, mass in rest} if header == MASS_COLUMNS else _refuse_table(table)
-    except (OSError, ValueError, csv.Error) as error:
-        return _refuse_table(table, f": {error}")
-
-
-def _refuse_table(table: Path, why: str = "") -> dict[str, float]:
-    raise InputError(
-        f"'{table}' is no table of masses: it begins with the line `{','.join(MASS_COLUMNS)}`, and every "
-        f"other one is a mesh's file name and its mass in kg{why}."
-    )
+        return {row["file"]: float(row["mass"]) for row in read_csv(table, MASS_COLUMNS)}
+    except ValueError as error:
+        raise InputError(f"'{table}' is no table of masses in kg: {error}.") from None
 
 
 def _manifest_rows(path: Path) -> list[LibraryRow]:
     """Return the rows of a manifest, no two of one name; files are relative to its folder."""
     try:
         tables = list(_READERS[path.suffix.lower()](path))
-    except (OSError, ValueError, RecursionError, csv.Error) as error:
+    except (OSError, ValueError, RecursionError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise InputError(f"The manifest '{path}' cannot be read: {why}.") from None
     if not tables:
@@ -318,17 +296,8 @@ def _value(key: str, value: Any) -> Any:
 
 
 def _csv_rows(path: Path) -> Iterator[dict[str, Any]]:
-    with path.open(encoding="utf-8-sig", newline="") as lines:
-        reader = csv.reader(lines)
-        header = [cell.strip() for cell in next(reader, [])]
-        for row in reader:
-            if len(row) > len(header):
-                raise ValueError(
-                    f"line {reader.line_num} has {counted(len(row), 'cell')}, its header {len(header)}"
-                )
-            cells = {key: cell.strip() for key, cell in zip(header, row, strict=False)}
-            if any(cells.values()):
-                yield {key: cell for key, cell in cells.items() if cell or key not in COLUMNS}
+    for row in read_csv(path):
+        yield {key: cell for key, cell in row.items() if cell or key not in COLUMNS}
 
 
 def _toml_rows(path: Path) -> Iterator[dict[str, Any]]:
@@ -346,13 +315,7 @@ def _parquet_rows(path: Path) -> Iterator[dict[str, Any]]:
     from pyarrow import ArrowException, parquet  # takes its time
 
     try:
-        with parquet.ParquetFile(path) as file:
-            if file.metadata.num_rows > MOST_ROWS:
-                raise ValueError(f"it has {file.metadata.num_rows} rows, and at most {MOST_ROWS} are read")
-        with bounded_memory(path):
-            rows = parquet.read_table(path, use_threads=False).to_pylist()
-    except MemoryError:  # Arrow's own too
-        raise ValueError("it unfolds to many times its size") from None
+        rows = parquet.read_table(path, use_threads=False).to_pylist()
     except ArrowException as error:
         raise ValueError(str(error)) from None
     for row in rows:

@@ -4,8 +4,6 @@ A function of the campaign's runs with their counts and of the objects that were
 files. `qdgrasp info` and the monitors show the same table.
 """
 
-import csv
-import io
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -17,6 +15,7 @@ from msgspec import Struct, structs
 
 from qdgrasp_coordinator.metrics.job_status import MOST_NAMES, JobEvent, ObjectListing, ObjectState
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
+from qdgrasp_coordinator.storage.tables import aligned_text, csv_text
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
@@ -282,33 +281,23 @@ COLUMNS: dict[str, Callable[[ObjectListing], object]] = {
 }
 """Columns of the table as text."""
 LEFT_ALIGNED = ("object", "state", "note")
-LONGEST_OBJECT = 40
 
 
 def table_lines(listings: Sequence[ObjectListing]) -> list[str]:
     """Return the table as text: a line with the names of columns, and one for each object."""
     cells = [[str(text(each)) for text in COLUMNS.values()] for each in listings]
-    rows = [list(COLUMNS), *cells]
-    widths = [min(LONGEST_OBJECT, max(map(len, column))) for column in zip(*rows, strict=True)]
-    lines = []
-    for row in rows:
-        padded = [
-            cell.ljust(width) if name in LEFT_ALIGNED else cell.rjust(width)
-            for name, cell, width in zip(COLUMNS, row, widths, strict=True)
-        ]
-        lines.append("  ".join(padded).rstrip())
-    return lines
+    left = [list(COLUMNS).index(name) for name in LEFT_ALIGNED]
+    return aligned_text([list(COLUMNS), *cells], left).splitlines()
 
 
 def to_csv(listings: Iterable[ObjectListing]) -> bytes:
     """Return the table in CSV with all figures of an object; lists are joined by semicolons."""
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
     names = ObjectListing.__struct_fields__
     first = ("object", "file", "category", "state", "little", "warnings")
     columns = [*first, *(name for name in names if name not in (*first, "names"))]
-    table.writerow(columns)
-    for each in listings:
-        values = [getattr(each, name) for name in columns]
-        table.writerow(["; ".join(value) if isinstance(value, list) else value for value in values])
-    return text.getvalue().encode()
+    rows = [{name: getattr(each, name) for name in columns} for each in listings]
+    joined = [
+        {name: "; ".join(value) if isinstance(value, list) else value for name, value in row.items()}
+        for row in rows
+    ]
+    return csv_text(joined, columns).encode()

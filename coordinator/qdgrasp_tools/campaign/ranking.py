@@ -1,8 +1,5 @@
 """Ranks grasps of a run: chooses the best, and orders them by eta after reevaluation."""
 
-import csv
-import io
-
 import msgspec
 import numpy as np
 from msgspec import Struct
@@ -25,6 +22,7 @@ from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.tables import aligned_text, csv_text
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -145,18 +143,11 @@ def write_ranking(folder: RunFolder) -> str:
     Returns the best of them as a table. Raises FolderError if a file cannot be read or written.
     """
     table = rank_poses(folder)
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(RANKING_COLUMNS)
-    writer.writerows([f"{value:.9g}" for value in line] for line in table)
-    atomic_files.replace(folder.path / RANKING, file.getvalue().encode())
-    shown = [
-        RANKING_COLUMNS[:11],
-        *(tuple(f"{round(value, ETA_DIGITS):g}" for value in line[:11]) for line in table[:RANKS_SHOWN]),
-    ]
-    widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
-    lines = ["  ".join(map(str.rjust, line, widths)) for line in shown]
-    return "\n".join([*lines, f"{counted(len(table), 'grasp')} ranked in {folder.path / RANKING}"])
+    rows = [dict(zip(RANKING_COLUMNS, (f"{value:.9g}" for value in line), strict=True)) for line in table]
+    atomic_files.replace(folder.path / RANKING, csv_text(rows, RANKING_COLUMNS).encode())
+    shown = [[f"{round(value, ETA_DIGITS):g}" for value in line[:11]] for line in table[:RANKS_SHOWN]]
+    text = aligned_text([RANKING_COLUMNS[:11], *shown])
+    return f"{text}\n{counted(len(table), 'grasp')} ranked in {folder.path / RANKING}"
 
 
 def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:

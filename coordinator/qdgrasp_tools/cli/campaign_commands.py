@@ -24,7 +24,6 @@ from qdgrasp_tools.campaign.campaign_file import (
 from qdgrasp_tools.campaign.campaign_folder import (
     CampaignRunQueue,
     begin_campaign,
-    defaults_left_out,
     open_campaign,
 )
 from qdgrasp_tools.campaign.object_library import LibraryRules, is_manifest
@@ -159,7 +158,6 @@ def campaign(
     metres, path = scale_of(units, scale), _campaign_folder(what, objects, out, shard)
     prepared = options.preparation(simplify, remesh, hull, glued)
     rules = LibraryRules(mass=mass, density=density, scale=metres, mesh=prepared, skip_unusable=skip_unusable)
-    without = defaults_left_out(path)
     with progress_messages() as tell:
         if objects is not None:
             if what is not None:
@@ -167,7 +165,7 @@ def campaign(
             if None not in (mass, density):
                 raise InputError("--mass and --density say the same of each object: give one of them.")
             values = {**goals, **options.given(**keys)}
-            asked = campaign_of_meshes(objects, rules, values, without=without, shard=shard, tell=tell)
+            asked = campaign_of_meshes(objects, rules, values, shard=shard, tell=tell)
         elif flags := options.given(
             **keys, mass=mass, density=density, scale=scale, units=units, simplify=simplify,
             remesh=remesh or None, hull=hull or None, glued=glued or None,
@@ -185,8 +183,6 @@ def campaign(
             file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
             asked = read_campaign(
                 file,
-                is_begun=what.is_dir(),
-                without=without,
                 goals=goals,
                 rules=rules,
                 shard=shard,

@@ -102,7 +102,7 @@ def runs_of_job(what: Path, folder: JobFolder | None) -> RunQueue:
     """The runs of a job: a campaign's, or a single one."""
     source = what / CAMPAIGN if folder and folder.is_campaign else what
     if source.is_file() and ((folder and folder.is_campaign) or is_campaign(source)):
-        campaign = read_campaign(source, is_begun=folder is not None)
+        campaign = read_campaign(source)
         if campaign.stand_ins:
             log.warning("scans not found: stand-ins, without S_G coverage", objects=campaign.stand_ins)
         return CampaignRunQueue(folder, campaign.runs)

@@ -299,7 +299,7 @@ class ObjectIndex:
             self._asked = (), {name: found[name] for name in begun if name in found}
             return self._asked[1]
         if self._asked[0] != (stamp := file_stamp(self._path, CAMPAIGN)):
-            self._asked = stamp, read_campaign(file, here=False, is_begun=True).runs
+            self._asked = stamp, read_campaign(file, here=False).runs
             self._finished, self._totals = set(), {}  # runs may have got other ends
         return self._asked[1]
 

@@ -5,7 +5,7 @@ import shutil
 import sqlite3
 from contextlib import closing
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -167,14 +167,6 @@ def test_an_index_that_is_damaged_is_mended_from_the_journals(campaign: JobFolde
     assert finished_here(campaign, spec) is not None
 
 
-def test_a_copy_that_keeps_times_keeps_what_is_finished(campaign: JobFolder, tmp_path: Path, opened) -> None:
-    known = extent(campaign, run_spec_of(campaign))
-    copy = JobFolder(shutil.copytree(campaign.path, tmp_path / "copy"))
-    opened.clear()
-    assert extent(copy, run_spec_of(copy)) == known
-    assert opened == []
-
-
 def test_an_unfinished_run_is_not_in_the_index(tmp_path: Path) -> None:
     run = record(tmp_path / "half", made_scene(), random_rows(N), evaluations=N + 1, overlaps="count")
     assert finished_listing(run.path, run.spec) is None
@@ -265,30 +257,10 @@ def test_a_damaged_journal_keeps_no_campaign_from_going_on(path: Path) -> None:
     assert begin_campaign(path, asked()).runs_done == 0
 
 
-def test_a_journal_whose_spec_is_no_spec_here_is_not_said_to_end_too_soon(path: Path, monkeypatch) -> None:
-    name, spec = next(iter(asked().runs.items()))
-    RunFolder.add(JobFolder(path), name, spec, None)
-
-    def refused(_: RunFolder) -> NoReturn:
-        raise ImpossibleValue("population", 5000, "at most 4096")
-
-    monkeypatch.setattr(RunFolder, "journal", refused)
-    with pytest.raises(ImpossibleValue, match=r"^population must be at most 4096"):
-        begin_campaign(path, asked())
-
-
 def test_a_campaign_keeps_its_name_on_the_bus(path: Path) -> None:
     begin_campaign(path, asked(), "many")
     with pytest.raises(FolderError, match="is of job 'many', not 'few'"):
         begin_campaign(path, asked(), "few")
-
-
-def test_a_name_that_the_bus_cannot_carry_begins_nothing(tmp_path: Path) -> None:
-    with pytest.raises(ImpossibleValue, match="job must be 1 to 64 of the characters"):
-        begin_campaign(tmp_path / "many", asked(), "a/b c")
-    with pytest.raises(ImpossibleValue, match="job must be"):
-        RunFolder.create(tmp_path / "one", next(iter(asked().runs.values())), None, job="")
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_single_run_is_no_campaign(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 import trimesh
 from msgspec import structs
 
-from qdgrasp_assets.object_shape import build_shape, pack_shape, shape_task
+from qdgrasp_assets.object_shape import build_shape, pack_shape
 from qdgrasp_coordinator.scheduler.run_plan import ShapesMissing, full_spec, prepare_scene
 from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -95,14 +95,6 @@ def test_no_more_shapes_are_looked_for_than_are_asked_for(runs: dict[str, RunSpe
     assert len(queue.wanted_shapes(1).shapes) == 1
 
 
-def test_more_shapes_are_looked_for_however_many_runs_lie_ready(runs: dict[str, RunSpec]) -> None:
-    first = dict(reversed(runs.items()))  # the run that needs no shape, then those that do
-    queue = CampaignRunQueue(None, first)
-    assert not queue.wanted_shapes(1).shapes
-    assert queue.ready_runs == 1
-    assert len(queue.wanted_shapes(1).shapes) == 1
-
-
 def test_shapes_that_are_likely_to_be_needed_are_expected(runs: dict[str, RunSpec], tmp_path: Path) -> None:
     queue = CampaignRunQueue(None, runs)
     assert queue.expected_shapes == 0.0  # nothing was looked at
@@ -162,16 +154,6 @@ def test_a_shape_of_coarse_parts_is_warned_of(runs: dict[str, RunSpec], tmp_path
     assert warning.words.startswith("'box40.stl': its convex parts are not as fine as they should be (own ")
 
 
-def test_the_task_of_a_shape_follows_from_the_content_of_the_mesh_alone(runs, tmp_path) -> None:
-    spec = next(iter(runs.values()))
-    copy = tmp_path / "elsewhere" / "other.stl"
-    copy.parent.mkdir()
-    copy.write_bytes(Path(spec.object).read_bytes())
-    task, other = shape_task(spec), shape_task(RunSpec(gripper="panda", object=str(copy), mass=3.0))
-    assert task is not None
-    assert task == other
-
-
 def test_poses_that_the_hand_cannot_take_fail_their_run_alone_and_leave_no_folder(tmp_path: Path) -> None:
     asked = {"gripper": "panda", "object": "tennis_ball", "method": "given", "evaluations": 1}
     good, bad = ({**asked, "poses": [[*place, *turn]]} for place, turn in POSES)
@@ -202,14 +184,3 @@ def test_without_a_home_runs_on_meshes_fail_and_the_others_are_made(runs, monkey
             assert plan.run == "panda-tennis_ball-aimed-s0"
     assert len(failed) == 4
     assert all("no home folder" in words for words in failed)
-
-
-def test_a_backslash_in_the_name_of_a_mesh_is_part_of_the_reason(tmp_path: Path) -> None:
-    mesh = tmp_path / r"parts\gear.stl"
-    trimesh.creation.box((0.04, 0.04, 0.1)).export(mesh)
-    asked = {"cross": [{"gripper": "panda", "object": str(mesh), "mass": 0.1, "evaluations": 10}]}
-    queue = CampaignRunQueue(None, make_campaign(asked, "test").runs)
-    (wanted,) = queue.wanted_shapes(1).shapes
-    queue.take_shape(BuildReply(wanted.task.key, reason="The mesh 'mesh.stl' is flat."))
-    with pytest.raises(RunFailed, match=r"The mesh 'parts\\gear\.stl' is flat"):
-        queue.next()

@@ -8,21 +8,18 @@ import pytest
 from msgspec import structs
 from tests.tools.monitor.sample_jobs import event
 
-from qdgrasp_coordinator.metrics.job_status import MOST_NAMES, ObjectListing
+from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
 from qdgrasp_tools.campaign.object_library import SkippedObject
 from qdgrasp_tools.campaign.object_table import (
-    SORT_KEYS,
     ObjectRun,
-    count_states,
     least_objects,
     list_objects,
     main_loss,
     object_quantiles,
     select_objects,
-    table_lines,
     to_csv,
     with_events,
 )
@@ -80,14 +77,6 @@ def test_objects_come_in_the_order_of_their_runs_and_those_left_out_behind() -> 
     )
 
 
-def test_an_object_is_called_as_its_library_calls_it() -> None:
-    about = ObjectRecord(id="cup-7", category="cup")
-    named = one(run("/lib/0007.stl", spec={"about": about, "mass": 1.0}))
-    assert (named.object, named.file, named.category) == ("cup-7", "/lib/0007.stl", "cup")
-    assert one(run("/lib/0007.stl", spec={"mass": 1.0})).object == "0007"
-    assert one(run("ycb_mug")).object == "ycb_mug"
-
-
 @pytest.mark.parametrize(
     ("runs", "state"),
     [
@@ -99,11 +88,6 @@ def test_an_object_is_called_as_its_library_calls_it() -> None:
 )
 def test_the_state_of_an_object_follows_from_its_runs(runs: list[ObjectRun], state: str) -> None:
     assert one(*runs).state == state
-
-
-def test_of_many_runs_the_first_are_named() -> None:
-    found = one(*[waiting(seed=n) for n in range(MOST_NAMES)], run(seed=99))
-    assert (len(found.names), found.names[0]) == (MOST_NAMES, "panda-mug-s99")
 
 
 OVERLAPPING = totals(simulated=100, overlaps=3900)
@@ -140,31 +124,11 @@ def test_a_tenth_of_the_median_is_the_border() -> None:
     assert many(x=structs.replace(few, grasps=100, cells=19))["x"].little.startswith("few cells")
 
 
-def test_where_all_got_nothing_all_got_little() -> None:
-    assert all(each.little for each in list_objects([run("a", totals=DROPPED), run("b", totals=DROPPED)]))
-
-
 def test_an_object_is_judged_by_its_finished_runs_alone() -> None:
     """Of three runs one is over: what the others have got so far does not count against it."""
     begun = run("x", seed=1, totals=totals(evaluations=10), is_done=False)
     assert not list_objects([run("a"), run("b"), run("x"), begun, waiting("x", seed=2)])[2].little
     assert not list_objects([run("a"), run("x", totals=OVERLAPPING, is_done=False)])[1].little
-
-
-def test_more_runs_are_no_more_grasps() -> None:
-    """Each finished run of the many counts as one."""
-    half = structs.replace(GOOD, grasps=60, cells=200)
-    found = list_objects([run("a"), run("b"), *(run("x", seed=n, totals=half) for n in range(4))])
-    assert found[2].grasps == 240
-    assert found[2].little.startswith("few grasps")
-
-
-def test_a_run_that_ended_early_says_so() -> None:
-    early = structs.replace(OVERLAPPING, evaluations=1200, overlaps=1100)
-    assert many(x=early)["x"].little == (
-        "no grasp: the open hand overlaps it in 1100 of 1200 poses; ended early, after 1200 of 4000 "
-        "evaluations"
-    )
 
 
 def test_an_object_of_which_no_more_cells_are_found_is_saturated() -> None:
@@ -209,18 +173,6 @@ def test_a_run_that_fails_is_told_at_its_object() -> None:
     assert (both[0].state, both[0].runs_failed, both[1].state) == ("failed", 2, "waiting")
     over = with_events(list_objects([run("a"), waiting("a", seed=1)]), [failure(1, "No.", "panda-a-s1")])
     assert over[0].state == "done"
-
-
-def test_every_run_of_many_that_fails_is_counted() -> None:
-    before = list_objects([waiting("a", seed=n) for n in range(MOST_NAMES + 8)])
-    events = [failure(n, "It has no parts.", f"panda-a-s{n}") for n in range(MOST_NAMES + 8)]
-    (found,) = with_events(before, events)
-    assert (found.runs_failed, found.state, found.warnings) == (40, "failed", ["It has no parts."])
-
-
-def test_a_row_that_is_given_up_fails_no_run() -> None:
-    before = list_objects([run("a", is_done=False)])
-    assert with_events(before, [event(1, "A row.", kind="error", run="panda-a-s0", worker="1f")]) == before
 
 
 def test_an_object_whose_shape_is_built_is_building_until_a_run_begins() -> None:
@@ -276,11 +228,6 @@ def test_objects_are_sorted_by_any_column(key: str, down: bool, first: list[str]
     assert names(select_objects(OBJECTS, sort=key, down=down))[: len(first)] == first
 
 
-@pytest.mark.parametrize("key", SORT_KEYS)
-def test_a_turned_order_has_the_same_objects(key: str) -> None:
-    assert sorted(names(select_objects(OBJECTS, sort=key, down=True))) == sorted(names(OBJECTS))
-
-
 def test_an_unknown_key_is_refused_with_those_that_exist() -> None:
     with pytest.raises(UnknownName, match=r"'grabs'.*cells, errors, evaluations, grasps"):
         select_objects(OBJECTS, sort="grabs")
@@ -292,18 +239,6 @@ def test_quantiles_and_the_least_are_of_objects_with_a_finished_run() -> None:
     assert found["cells"].words == "0 / 150 / 200 / 200 / 200"
     assert names(least_objects(OBJECTS, 2)) == ["x", "part_2"]
     assert object_quantiles([OBJECTS[4]]) == {}
-
-
-def test_states_are_counted() -> None:
-    assert count_states(OBJECTS) == {"skipped": 1, "waiting": 1, "done": 4}
-
-
-def test_the_table_has_a_line_for_each_object_and_no_column_is_out_of_line() -> None:
-    head, *lines = table_lines(OBJECTS)
-    assert len(lines) == len(OBJECTS)
-    assert lines[3].startswith("x")
-    assert lines[3].index("no grasp: the open") == head.index("note")
-    assert lines[0][: head.index("grasps") + len("grasps")].endswith(" 1000")
 
 
 def test_a_table_in_csv_has_all_figures() -> None:

@@ -24,7 +24,7 @@ from qdgrasp_coordinator.storage.outputs import ORIGIN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.rows import Rows
-from qdgrasp_protocol.spec import FirstWeights, RunSpec, from_toml, to_toml
+from qdgrasp_protocol.spec import FirstWeights, RunSpec
 from qdgrasp_tools.campaign import warm_start
 from qdgrasp_tools.campaign.warm_start import WarmStart
 from qdgrasp_tools.cli.main import app
@@ -97,18 +97,6 @@ def test_an_unfinished_run_hands_on_what_it_knows(folder: Record) -> None:
     assert part.runs[0].rows == 400
 
 
-def test_a_run_repeats_from_its_spec_without_its_sources(folder: Record) -> None:
-    learned = WarmStart.learned(SPEC, [folder("one")])
-    spec = msgspec.structs.replace(SPEC, seed=5, first_weights=learned.weights)
-    read = from_toml(to_toml(spec))
-    assert read == spec
-    (_, rows), (_, again), (_, cold) = map(
-        journal, (spec, read, msgspec.structs.replace(spec, first_weights=None))
-    )
-    assert rows.tobytes() == again.tobytes()
-    assert rows.tobytes() != cold.tobytes()
-
-
 def test_candidates_are_ranked_by_the_weights_from_the_first_generation() -> None:
     first = FirstWeights(touch=(1.0, *STARTS["touch"][1:]), cell_quality=(2.0, *STARTS["cell_quality"][1:]))
     search = ValueSearch(msgspec.structs.replace(SPEC, first_weights=first), SPACE)
@@ -117,11 +105,6 @@ def test_candidates_are_ranked_by_the_weights_from_the_first_generation() -> Non
     assert np.abs(genes[:, 1:]).max() < 1e-5
     given = {name: model.weights.tolist() for name, model in search.models.items()}
     assert given == {name: list(getattr(first, name) or STARTS[name]) for name in STARTS}
-
-
-def test_weights_none_of_which_are_given_change_nothing(ran) -> None:
-    _, rows = journal(msgspec.structs.replace(SPEC, first_weights=FirstWeights()))
-    assert rows.tobytes() == ran[0][1].tobytes()
 
 
 TRUE = np.array([3.0, -2.0, 1.0])

@@ -97,7 +97,7 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(asked: Asked, line: 
 
 def test_a_campaign_that_ends_early_says_what_all_of_its_runs_have_recorded(tmp_path, capsys) -> None:
     folder = record_campaign(tmp_path / "out", 8)
-    asked = read_campaign(folder.path / CAMPAIGN, here=False, is_begun=True)
+    asked = read_campaign(folder.path / CAMPAIGN, here=False)
     campaign_commands.print_summary(folder, asked, is_timed=True)
     first, counts = capsys.readouterr().out.splitlines()[:2]
     assert first.startswith("Not all runs are finished; ")
