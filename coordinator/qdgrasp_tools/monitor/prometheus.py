@@ -89,8 +89,6 @@ JOB = MetricGroup("job", ("job",), JobStatus, (
 COORDINATED_JOB = MetricGroup("job", ("job",), JobStatus, (
     MetricSpec("requeued", name="requeued_batches"),
     MetricSpec("doubled", name="doubled_batches"),
-    MetricSpec("checked", name="checked_rows"),
-    MetricSpec("differing", name="differing_rows"),
     MetricSpec("strays", name="stray_results"),
     MetricSpec("waiting", GaugeMetricFamily, unit="rows"),
     MetricSpec("workers", GaugeMetricFamily),

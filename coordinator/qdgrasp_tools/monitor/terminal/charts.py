@@ -231,7 +231,6 @@ def obstacle_text(view: JobView, glyphs: Glyphs) -> str:
         words.get(view.state, glyphs.text(one.doing)),
         on_disk if one.recorders else "no recorder is there: rows wait for one",
         f"{counted(one.requeued, 'batch', 'batches', count_text)} given again" if one.requeued else "",
-        f"{counted(one.differing, 'row', 'rows', count_text)} answered differently" if one.differing else "",
         f"{counted(one.strays, 'result', told=count_text)} dropped" if one.strays else "",
     ]
     return glyphs.between.join(filter(None, phrases))

@@ -178,7 +178,6 @@ STYLES = {
     "starting": "cyan", "running": "green", "paused": "yellow", "ending": "cyan",
     "silent": "bold yellow", "gone": "bold red", "ended": "dim", "cancelled": "dim",
     "working": "", "idle": "dim", "stuck": "bold yellow", "leaving": "cyan",
-    "sick": "bold yellow", "excluded": "bold red",
     "job": "cyan", "run": "green", "warning": "yellow", "trouble": "bold yellow", "error": "bold red",
 }  # fmt: skip
 """Styles of the states of jobs and workers, and of the kinds of events."""
@@ -263,7 +262,7 @@ def _object_style(one: ObjectListing) -> str:
 
 def worker_list(view: JobView, width: int, glyphs: Glyphs) -> Lines:
     """Return the table of a job's workers; those that are in trouble first."""
-    rank = {"excluded": 0, "gone": 0, "sick": 1, "stuck": 1, "leaving": 2}
+    rank = {"gone": 0, "stuck": 1, "leaving": 2}
     workers = sorted(view.workers, key=lambda worker: (rank.get(worker.state, 3), worker.host, worker.pid))
     columns: list[TableColumn[WorkerStatus]] = [
         TableColumn("host", lambda one: glyphs.text(one.host), 12, align="left", grows=True),

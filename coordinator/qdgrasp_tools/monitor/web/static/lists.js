@@ -77,7 +77,7 @@ function allRuns({ runs, runs_open: open, runs_done: done, runs_failed: failed }
 }
 
 const NO_WORKERS = { gone: "the job has no coordinator", ended: "the job has ended", cancelled: "the job was cancelled" };
-const STATES = ["working", "idle", "stuck", "sick", "excluded", "leaving", "unknown", "gone"];
+const STATES = ["working", "idle", "stuck", "leaving", "unknown", "gone"];
 const WORKER_COLUMNS = [
   { name: "host", title: "Host", value: ({ host, pid }) => `${host} ${pid}`, words: ({ host, pid }) => `${host} ${pid}` },
   { name: "state", title: "State", value: ({ state }) => STATES.indexOf(state), words: ({ state }) => state },
