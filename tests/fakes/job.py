@@ -32,7 +32,7 @@ from qdgrasp_protocol.messages import Opened, OpenRun, Order, OrderReply
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.monitor.feed import reachable_jobs
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobView
 
 SPEC = RunSpec(gripper="hand", object="thing")
 PLANS = {f"run-{seed}": Plan(seed=seed, population=5 + seed, evaluations=40) for seed in range(6)}

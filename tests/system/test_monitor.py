@@ -51,7 +51,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.monitor.feed import Feed
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobView
 from qdgrasp_tools.monitor.terminal.screen import ScreenState, report_lines
 from qdgrasp_tools.monitor.terminal.text_tables import ASCII
 

@@ -24,7 +24,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.campaign.object_table import with_events
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.monitor.feed import reachable_jobs, summary_lines
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobView
 from qdgrasp_tools.monitor.records import BusRecords
 
 SESSION_SECONDS = 6.0  # seconds that a router may take to answer, over a slow link too

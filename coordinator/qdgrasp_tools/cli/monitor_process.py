@@ -24,7 +24,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.cli.job_commands import SESSION_SECONDS, JobDir, JobPlace, open_session
 from qdgrasp_tools.cli.options import host_and_port
 from qdgrasp_tools.monitor.feed import Feed, ObjectFeed, query_jobs
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobView
 from qdgrasp_tools.monitor.records import BusRecords
 from qdgrasp_tools.monitor.terminal.keyboard import Keyboard
 from qdgrasp_tools.monitor.terminal.screen import ScreenState, local_time, report_lines, watch_jobs

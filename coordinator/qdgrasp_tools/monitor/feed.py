@@ -24,8 +24,7 @@ from qdgrasp_protocol.errors import BusError, MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys
 from qdgrasp_protocol.text import counted, first_few
 from qdgrasp_tools.campaign.object_table import count_states, with_events
-from qdgrasp_tools.monitor.job_model import JobModels
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobModels, JobView
 
 log = structlog.get_logger()
 

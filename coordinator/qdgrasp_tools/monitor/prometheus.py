@@ -18,7 +18,7 @@ from prometheus_client.registry import Collector
 
 from qdgrasp_coordinator.metrics import job_status
 from qdgrasp_coordinator.metrics.job_status import JobMeta, JobStatus, RunStatus, WorkerStatus, meanings
-from qdgrasp_tools.monitor.job_view import OVER, JobView
+from qdgrasp_tools.monitor.job_model import OVER, JobView
 
 MOST_RUNS = 256  # The most runs of a job with series: first those in progress, then the latest heard
 MOST_WORKERS = 512  # The most workers of a job with series, by their joins; `qdgrasp_workers` counts all

@@ -18,7 +18,7 @@ from qdgrasp_protocol.process import Stop
 from qdgrasp_tools.cli import monitor_process
 from qdgrasp_tools.cli.monitor_process import app
 from qdgrasp_tools.monitor.feed import ObjectFeed
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobView
 from qdgrasp_tools.monitor.terminal import screen
 from qdgrasp_tools.monitor.terminal.screen import watch_jobs
 from qdgrasp_tools.monitor.terminal.text_tables import ASCII

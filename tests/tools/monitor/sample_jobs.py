@@ -10,8 +10,7 @@ from qdgrasp_coordinator.metrics.job_status import JobEvent, JobStatus, WorkersP
 from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.monitor.job_model import JobModels
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobModels, JobView
 from qdgrasp_tools.monitor.terminal.screen import ScreenState
 
 NOON = datetime(2026, 11, 21, 12, tzinfo=UTC)

@@ -18,7 +18,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.object_library import SkippedObject
 from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
 from qdgrasp_tools.monitor.feed import Feed, ObjectFeed, summary_lines
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobView
 
 MUGS = Keys("mugs")
 

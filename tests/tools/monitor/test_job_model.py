@@ -24,8 +24,7 @@ from tests.tools.monitor.sample_jobs import (
 from qdgrasp_coordinator.metrics.job_status import EVENTS_KEPT, JobEvents, to_json
 from qdgrasp_protocol.keys import AnyJob
 from qdgrasp_tools.monitor import job_model
-from qdgrasp_tools.monitor.job_model import JobModels
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobModels, JobView
 
 
 @pytest.fixture

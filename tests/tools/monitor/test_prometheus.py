@@ -11,7 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from tests.tools.monitor.sample_jobs import event, run, values, views, worker
 
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobView
 from qdgrasp_tools.monitor.prometheus import MOST_RUNS, MOST_WORKERS, STATES, exposition
 
 STRANGE = 'a "quoted"\\ name\nof two lines, {labelled="so"} # HELP'

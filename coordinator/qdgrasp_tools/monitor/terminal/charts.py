@@ -12,7 +12,7 @@ from rich.text import Text
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_coordinator.metrics.run_stats import CurvePoint
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.monitor.job_view import OVER, JobView
+from qdgrasp_tools.monitor.job_model import OVER, JobView
 from qdgrasp_tools.monitor.terminal.text_tables import (
     Glyphs,
     Lines,

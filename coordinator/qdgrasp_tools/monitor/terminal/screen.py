@@ -18,7 +18,7 @@ from qdgrasp_coordinator.metrics.job_status import ObjectListing, utc_now
 from qdgrasp_protocol.process import Stop
 from qdgrasp_tools.campaign.object_table import SORT_KEYS, select_objects
 from qdgrasp_tools.monitor.feed import Feed, ObjectFeed, summary_lines
-from qdgrasp_tools.monitor.job_view import JobView, end_state
+from qdgrasp_tools.monitor.job_model import JobView, end_state
 from qdgrasp_tools.monitor.terminal import text_tables as tables
 from qdgrasp_tools.monitor.terminal.charts import count_lines, curve_lines, outcome_lines, progress_line
 from qdgrasp_tools.monitor.terminal.keyboard import Keyboard, keyboard

@@ -19,7 +19,7 @@ from rich.text import Text
 
 from qdgrasp_coordinator.metrics.job_status import JobEvent, ObjectListing, RunStatus, WorkerStatus
 from qdgrasp_protocol.text import counted, printable
-from qdgrasp_tools.monitor.job_view import OVER, JobView
+from qdgrasp_tools.monitor.job_model import OVER, JobView
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.text import printable
 from qdgrasp_tools.campaign.object_table import count_states, select_objects, with_events
 from qdgrasp_tools.monitor.feed import Feed
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobView
 from qdgrasp_tools.monitor.prometheus import exposition
 from qdgrasp_tools.monitor.records import FolderIndex, FolderRecords
 from qdgrasp_tools.monitor.web.run_cache import JobCaches, RunCache, RunCaches

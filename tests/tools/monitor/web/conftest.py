@@ -38,8 +38,7 @@ from qdgrasp_protocol.errors import NoReply, UnknownName
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.monitor.job_model import JobModels
-from qdgrasp_tools.monitor.job_view import JobView
+from qdgrasp_tools.monitor.job_model import JobModels, JobView
 from qdgrasp_tools.monitor.records import JournalId, RecordPage, RunLocation
 from qdgrasp_tools.monitor.web import scene_data
 from qdgrasp_tools.monitor.web.routes import live_routes

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.tools.monitor.sample_jobs import figures
 
-from qdgrasp_tools.monitor.job_view import MAX_POINTS, WINDOW, SeriesBuilder, ThinnedSamples
+from qdgrasp_tools.monitor.job_model import MAX_POINTS, WINDOW, SeriesBuilder, ThinnedSamples
 
 
 @given(st.lists(st.integers(0, 50), min_size=1, max_size=2000), st.integers(4, 40))
