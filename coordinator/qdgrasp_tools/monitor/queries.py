@@ -14,7 +14,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from msgspec.structs import replace
 
@@ -32,7 +32,7 @@ from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTo
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.outputs import CAMPAIGN, JOURNAL, SKIPPED, SPEC
+from qdgrasp_coordinator.storage.outputs import CAMPAIGN, SKIPPED, SPEC
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import page_to_message, success_page
 from qdgrasp_protocol import bundle_transfer, messages
@@ -47,8 +47,6 @@ from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
 from qdgrasp_tools.report.row_report import RowContextCache
 
 ROWS_PER_ANSWER = 1 << 19  # Most journal rows counted for one answer
-MOST_COUNTED = 1024  # Most runs whose counts are kept for the next answer; finished ones are in the index
-CLOCK_SECONDS = 2.0  # Longest time-stamp step of a file system, old ones included [s]
 FileStamp = tuple[tuple[int, int, int], ...]
 """The inode, the size and the time of the last change [ns] of each of some files."""
 
@@ -97,8 +95,7 @@ class RunIndex:
         self._path = path
         self._lock = threading.Lock()
         self._finished = FinishedRuns(path)
-        self._counts: OrderedDict[Path, CountedRun] = OrderedDict()  # in the order of their use
-        self._known: OrderedDict[Path, tuple[FileStamp, RunListing]] = OrderedDict()  # likewise
+        self._counts: dict[Path, CountedRun] = {}
         self._rows_left = 0
 
     def one(self, run: str) -> RunListings:
@@ -140,29 +137,16 @@ class RunIndex:
                     yield path
 
     def _listing(self, path: Path) -> RunListing | None:
-        """Return a run's listing; a journal unchanged since its count is not opened again."""
-        stamp, now = journal_stamp(path), time.time()
-        known_stamp, known = self._known.get(path, (None, None))
-        if known is not None and known_stamp == stamp:
-            for kept in (self._known, self._counts):
-                if path in kept:
-                    kept.move_to_end(path)
-            return known
+        """Return a run's listing, with the rows that are new counted."""
         with Journal.open(path) as journal:
             listing = self._counted(path, journal)
-            is_whole = path not in self._counts or self._counts[path].rows == journal.count
-        listing = listing and _with_folder(listing, path)
-        if listing and is_whole and has_rested(stamp, now):
-            self._known[path] = stamp, listing
-            _forget_oldest(self._known, path)
-        return listing
+        return listing and _with_folder(listing, path)
 
     def _counted(self, path: Path, journal: Journal) -> RunListing | None:
         """Count a run's new rows, up to the limit of one answer."""
         spec, count = journal.spec, self._counts.get(path)
         if count is None or count.spec != spec or count.rows > journal.count:
             count = self._counts[path] = CountedRun(spec, RunCounter.of(spec))
-        _forget_oldest(self._counts, path)
         try:
             self._rows_left -= count.count(journal, self._rows_left)
         except FolderError:  # rows before the damage were counted, and would be once more
@@ -173,13 +157,6 @@ class RunIndex:
 
 def _with_folder(listing: RunListing, path: Path) -> RunListing:
     return replace(listing, folder=printable(str(path.absolute())))
-
-
-def _forget_oldest(kept: OrderedDict[Path, Any], latest: Path) -> None:
-    """Note the use of an entry, and drop those unused for longest that are too many."""
-    kept.move_to_end(latest)
-    while len(kept) > MOST_COUNTED:
-        kept.popitem(last=False)
 
 
 def _run_paths(job: Path) -> list[Path]:
@@ -195,11 +172,6 @@ def _listings(listings: Sequence[RunListing | None]) -> RunListings:
     )
 
 
-def journal_stamp(path: Path) -> FileStamp:
-    """Return a stamp that changes when the journal in a folder is written."""
-    return file_stamp(path, JOURNAL, f"{JOURNAL}-wal")
-
-
 def file_stamp(path: Path, *names: str) -> FileStamp:
     """Return a stamp that changes when a file of these names in a folder is written."""
     stamp: list[tuple[int, int, int]] = []
@@ -208,11 +180,6 @@ def file_stamp(path: Path, *names: str) -> FileStamp:
             stat = (path / name).stat()
             stamp += [(stat.st_ino, stat.st_size, stat.st_mtime_ns)] if stat.st_size else []
     return tuple(stamp)
-
-
-def has_rested(stamp: FileStamp, now: float) -> bool:
-    """True if the last change was so long before `now` [s since 1970] that a next one shows."""
-    return all(changed / 1e9 < now - CLOCK_SECONDS for _, _, changed in stamp)
 
 
 SCENES_KEPT = 8  # Number of scenes kept in memory

@@ -9,13 +9,11 @@ from tests.common import PATIENCE, wait_for
 from tests.tools.monitor.sample_jobs import NOW, curve, figures, run, values, views
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, to_json
-from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS
 from qdgrasp_protocol.bus import Bus, Channel, Query
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys, matches
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.campaign.object_library import SkippedObject
 from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
 from qdgrasp_tools.monitor.feed import Feed, ObjectFeed, summary_lines
 from qdgrasp_tools.monitor.job_model import JobView
@@ -142,18 +140,6 @@ def test_a_job_is_told_in_a_few_lines() -> None:
         "  2 runs in progress: a 10/1000, b 10/1000\n"
         "  workers: n0 2, n1 2, n2 1, n3 1, n4 1, n5 1 and 1 more (4 idle, 5 working)"
     )
-
-
-def test_a_job_of_many_objects_tells_how_many_are_done() -> None:
-    specs = [RunSpec(gripper="panda", object=name) for name in "abc"]
-    finished = [ObjectRun(spec.object, spec, NO_TOTALS, is_done=True) for spec in specs]
-    waiting = ObjectRun("d", RunSpec(gripper="panda", object="d"))
-    objects = list_objects([*finished, waiting], [SkippedObject("torn", "torn.stl", "it is open", "")])
-    (view,) = views(values(scenes=4, scenes_done=3, trials=24))
-    assert [*summary_lines(view, NOW, objects)][3] == (
-        "  3 of 4 objects done, 1 skipped; 3 got little; 3 of 4 shapes; 1024 rows"
-    )
-    assert "  3 of 4 shapes; 1024 rows" in [*summary_lines(view, NOW)]
 
 
 def test_objects_are_read_in_a_thread_and_kept_where_nothing_answers() -> None:

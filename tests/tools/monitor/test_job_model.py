@@ -21,7 +21,7 @@ from tests.tools.monitor.sample_jobs import (
     worker,
 )
 
-from qdgrasp_coordinator.metrics.job_status import EVENTS_KEPT, JobEvents, to_json
+from qdgrasp_coordinator.metrics.job_status import JobEvents, to_json
 from qdgrasp_protocol.keys import AnyJob
 from qdgrasp_tools.monitor import job_model
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
@@ -63,17 +63,6 @@ def test_pages_of_a_team_that_are_no_more_are_forgotten() -> None:
     (page,) = team(worker(1), worker(2))
     publish(jobs, START, stat_team_0=page)
     assert len(view_of(jobs, START).workers) == 2
-
-
-def test_what_is_remembered_is_bounded(jobs: JobModels) -> None:
-    for number in range(job_model.MOST_RUNS + 5):
-        publish(jobs, START, event_job=event(number), **{f"stat_run_r{number}": run(f"r{number}")})
-    view = view_of(jobs, START)
-    assert len(view.runs) == len(view.curves) == job_model.MOST_RUNS
-    assert len(view.events) == EVENTS_KEPT
-    for number in range(job_model.MAX_JOBS + 5):
-        jobs.receive_answers(values(f"job-{number}"), START)
-    assert len(jobs.views(START)) == job_model.MAX_JOBS
 
 
 def test_of_many_runs_those_that_are_over_are_forgotten_first_then_the_silent_ones(jobs: JobModels) -> None:
@@ -148,18 +137,6 @@ def test_when_the_router_is_back_everything_is_asked_and_nothing_while_it_is_awa
     assert jobs.due_queries(START + 1) == []
     jobs.link_changed(True, START + 2)
     assert AnyJob().meta in jobs.due_queries(START + 2)
-
-
-def test_a_job_of_which_too_little_is_known_is_asked_again_now_and_then() -> None:
-    jobs = JobModels()
-    jobs.due_queries(START)
-    publish(jobs, START + 1, stat_job=figures())
-    assert MUGS.meta in jobs.due_queries(START + 1)
-    publish(jobs, START + 1.5, stat_job=figures())
-    assert jobs.due_queries(START + 1.5) == []
-    assert MUGS.meta in jobs.due_queries(START + 1 + job_model.RETRY_SECONDS)
-    jobs.receive_answers(values(), START + 7)
-    assert not set(jobs.due_queries(START + 60)) & {MUGS.meta, MUGS.stat()}
 
 
 def test_the_curve_of_a_run_that_was_not_seen_from_its_beginning_on_is_asked_for_until_it_comes() -> None:

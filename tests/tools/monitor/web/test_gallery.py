@@ -48,17 +48,6 @@ def test_the_best_grasps_are_pictures_the_best_first(page: Page) -> None:
 
 
 @browser.needed
-def test_a_picture_selects_its_grasp_and_is_marked_however_that_was_selected(page: Page) -> None:
-    page.get_by_role("button", name="Grasp 4:").click()
-    expect(page.locator("#grasp h4")).to_have_text("Grasp 4")
-    expect(page.locator("#scene-best [aria-pressed=true]")).to_have_text("4")
-    page.keyboard.press("p")
-    expect(page.locator("#scene-best [aria-pressed=true]")).to_have_text("9")
-    page.keyboard.press("Escape")
-    expect(page.locator("#scene-best [aria-pressed=true]")).to_have_count(0)
-
-
-@browser.needed
 def test_two_grasps_stand_beside_each_other_seen_from_one_side(page: Page) -> None:
     page.keyboard.press("n")
     page.get_by_role("button", name="Keep beside").click()

@@ -182,19 +182,6 @@ def test_the_page_shows_a_part_of_the_objects_and_goes_on(look: Look, place: str
 
 
 @browser.needed
-def test_a_search_leaves_what_was_asked_for(look: Look, place: str) -> None:
-    page = look(place)
-    page.get_by_role("searchbox").fill("skipped remesh")
-    expect(page.locator("#objects-range")).to_have_text("1 to 2 of 2")
-    assert shown(page) == ["torn", "cracked"]
-    expect(page.locator("#objects td[data-name=note]").first).to_have_text(
-        "left out: it is not closed; mend: --remesh or --hull"
-    )
-    page.get_by_role("searchbox").fill("nothing at all")
-    expect(page.locator("#objects-range")).to_have_text("none found")
-
-
-@browser.needed
 def test_an_object_leads_to_its_runs_and_back(look: Look, place: str) -> None:
     page = look(place)
     expect(page.locator("#runs-words")).to_contain_text("those that have ended are shown with their object")

@@ -1,7 +1,6 @@
 """The page in a browser: jobs made by hand."""
 
 import re
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -9,7 +8,6 @@ import pytest
 from tests import browser
 from tests.browser import PHONE, expect, figure, number
 from tests.common import free_port
-from tests.tools.monitor.sample_jobs import values
 from tests.tools.monitor.web.conftest import FakeFeed, serving
 
 pytestmark = browser.needed
@@ -65,17 +63,6 @@ def test_the_page_shows_numbers_that_grow(look: Look, place: str) -> None:
     assert float(page.locator("#progress").get_attribute("value") or 0) > 0
 
 
-def test_where_evaluations_end_adds_up(look: Look, place: str) -> None:
-    page = look(f"{place}/#job=mug")
-    entries = page.locator("#outcomes li")
-    expect(entries).to_have_count(8)
-    counts, whole = page.evaluate(
-        "() => [[...document.querySelectorAll('#outcomes .number')].map((node) => node.textContent), "
-        "document.querySelector('#outcomes-words').textContent]"
-    )
-    assert sum(map(number, counts)) == number(whole)
-
-
 def test_curves_are_drawn_and_their_last_points_are_told(look: Look, place: str) -> None:
     page = look(f"{place}/#job=mug")
     for plot, names in {
@@ -86,22 +73,6 @@ def test_curves_are_drawn_and_their_last_points_are_told(look: Look, place: str)
         expect(page.locator(f"#{plot} canvas")).to_be_visible()
         expect(page.locator(f"#{plot}-legend dt")).to_have_text(names)
         expect(page.locator(f"#{plot}-legend dd")).to_have_text([re.compile("[1-9]")] * len(names))
-
-
-def test_before_a_run_has_begun_the_view_says_what_it_waits_for(look: Look) -> None:
-    feed = FakeFeed()
-    told = values(runs=7, runs_open=0, scenes=1, building=["mug"])
-    told = {key: value for key, value in told.items() if "/stat/run/" not in key}
-    feed.jobs.receive_answers(told, time.time() + browser.PATIENCE)
-    with serving(feed) as place:
-        page = look(f"{place}/#job=mugs")
-        words = "Shapes that are being built: mug. 7 runs wait; grasps appear here when one begins."
-        expect(page.locator("#scene-empty")).to_have_text(words)
-        expect(page.get_by_role("button", name="Next grasp")).to_be_hidden()
-        expect(page.locator("#runs")).to_be_hidden()
-        expect(page.locator(".found .plot[data-none], .speed .plot[data-none]")).to_have_count(3)
-        expect(page.locator("canvas:visible")).to_have_count(1)  # the view's
-        page.context.close()
 
 
 def near(page: Page, nudge: int) -> bool:

@@ -64,15 +64,6 @@ PLACE = """(number) => {
   const { left, top, width, height } = view.canvas.getBoundingClientRect();
   return [left + (width * (1 + place.x)) / 2, top + (height * (1 - place.y)) / 2];
 }"""
-RESTS = """() => new Promise((done) => {
-  let drawn = -1, frames = 0;
-  const look = () => {
-    frames = view.renderer.drawn === drawn ? frames + 1 : 0;
-    drawn = view.renderer.drawn;
-    frames < 40 ? requestAnimationFrame(look) : done(drawn);
-  };
-  look();
-})"""
 STAND = """(are) => view.objects.hand.visible === are && view.objects.mark.visible === are"""
 """True where the hand, and the mark at its cell, are there."""
 STANDS = """() => {
@@ -132,12 +123,6 @@ def test_all_cells_are_there_and_counted_by_kind(page: Page) -> None:
     expect(page.locator("#scene-key li b")).to_have_text(["1", "1", "2"])
 
 
-def test_what_is_found_while_one_looks_appears(page: Page, records: HandMadeRecords) -> None:
-    records.record(finds([12, 13], [(0, 0, 9), (0, -9, 3)], [Outcome.HELD] * 2))  # one is in a known cell
-    expect(page.locator("#scene-words")).to_have_text("5 cells of 1 cm")
-    expect(page.locator("#scene-key li b")).to_have_text(["0", "1", "4"])
-
-
 def test_the_keyboard_goes_through_grasps_the_best_first(page: Page) -> None:
     page.locator("#scene").focus()
     page.keyboard.press("n")
@@ -192,13 +177,6 @@ def test_the_hand_is_closed_and_opened_by_keys_and_contacts_are_there_when_it_is
     expect(page.locator("#grasp .closing output")).to_have_text("closed")
 
 
-def test_kinds_may_be_left_out(page: Page) -> None:
-    page.locator("#scene-key").get_by_role("button", name="all survived").click()
-    expect(page.locator("#scene-words")).to_have_text("2 of 4 cells of 1 cm")
-    page.get_by_role("button", name="Next grasp").click()
-    expect(page.locator("#grasp h4")).to_have_text("Grasp 4")
-
-
 def test_without_3d_the_page_says_so_and_goes_on(chromium: Any, place: str) -> None:
     context = chromium.new_context()
     context.add_init_script("HTMLCanvasElement.prototype.getContext = new Proxy("
@@ -239,23 +217,6 @@ def test_the_hand_stands_where_the_server_says(alone: Page, records: HandMadeRec
             assert np.allclose(found[:3, :3], Rotation.from_quat(expected[3:]).as_matrix(), atol=1e-6)
 
 
-def test_nothing_is_drawn_while_nothing_changes(alone: Page) -> None:
-    drawn = alone.evaluate(RESTS)
-    assert drawn > 0
-    alone.evaluate("view.cut = true")
-    assert alone.evaluate(RESTS) > drawn
-
-
-def test_the_view_comes_back_after_the_graphics_were_lost(alone: Page) -> None:
-    alone.evaluate("window.card = view.renderer.webgl.getContext().getExtension('WEBGL_lose_context')")
-    alone.evaluate("card.loseContext()")
-    alone.wait_for_function("() => window.words.startsWith('The graphics were lost')")
-    drawn = alone.evaluate("view.renderer.drawn")
-    alone.evaluate("card.restoreContext()")
-    alone.wait_for_function("(drawn) => view.renderer.drawn > drawn", arg=drawn)
-    click(alone, 9)
-
-
 SCORED = finds(
     [2, 3, 5, 8, 9, 12],
     [(0, -9, 3), (0, -9, 3), (9, 0, 3), (-9, 0, 3), (0, 9, 3), (0, 9, -4)],
@@ -288,19 +249,6 @@ def slide(filtered: Page, name: str, to: float) -> None:
     filtered.get_by_label(name).evaluate(
         "(node, to) => { node.value = to; node.dispatchEvent(new Event('input', { bubbles: true })); }", to
     )
-
-
-def kinds(filtered: Page) -> Any:
-    """Expect numbers of cells of each kind, from worst to best."""
-    return expect(filtered.locator("#scene-key li b"))
-
-
-def test_a_synergy_shows_the_cells_that_it_grasps_from_with_its_own_best(filtered: Page) -> None:
-    filtered.get_by_label("Synergy").select_option("power")
-    expect(filtered.locator("#scene-words")).to_have_text("3 of 5 cells of 1 cm")
-    kinds(filtered).to_have_text(["2", "0", "1"])
-    filtered.get_by_label("Synergy").select_option("any")
-    expect(filtered.locator("#scene-words")).to_have_text("5 cells of 1 cm")
 
 
 def test_a_box_shows_what_is_in_it(filtered: Page) -> None:

@@ -233,18 +233,6 @@ def test_the_token_in_the_address_becomes_a_cookie_that_no_script_and_no_other_p
     assert guest.get("/api/state").status_code == 200
 
 
-def test_a_token_can_be_asked_for_on_loopback_too(feed: FakeFeed) -> None:
-    access = Access.at("127.0.0.1", TOKEN)
-    assert client(feed, access).get("/api/state").status_code == 401
-    headers = {"authorization": f"Bearer {TOKEN}", "host": "evil.example"}
-    assert client(feed, access).get("/api/state", headers=headers).status_code == 421
-
-
-@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
-def test_on_loopback_there_is_no_token_unless_one_is_given(host: str) -> None:
-    assert Access.at(host) == Access(local=True)
-
-
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "head", "192.168.0.7"])  # noqa: S104
 def test_elsewhere_there_is_always_a_token_and_each_time_another_one(host: str) -> None:
     made = {Access.at(host).token for _ in range(5)}

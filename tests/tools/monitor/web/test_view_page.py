@@ -72,17 +72,6 @@ def test_a_grasp_is_chosen_by_keys_with_the_commands_for_its_folder(look, place,
     assert flags.evaluate_all("flags => flags.map((flag) => flag.getClientRects().length)") == [1, 1, 1]
 
 
-def test_of_many_runs_some_are_found_by_parts_of_their_names(look, tmp_path, runs) -> None:
-    names = [f"panda-{what}-s{seed}" for what in ("bowl", "mug") for seed in range(7)]
-    for name in names:
-        RunFolder.create(tmp_path / name, runs[0].spec, runs[0].bundle())
-    paths = [runs[0].path, *(tmp_path / name for name in names)]
-    with serving_routes(lambda _: folder_routes(FolderIndex(paths))) as address:
-        page = look(address)
-        page.get_by_label("Find a run").fill("mug s3")
-        expect(page.locator("#shelf a:visible")).to_have_text(["panda-mug-s3"])
-
-
 def test_the_settings_of_a_run_are_its_spec_and_how_it_is_simulated(look: Look, place: str) -> None:
     page = look(place)
     page.locator("#scene-settings summary").click()
