@@ -7,7 +7,7 @@ Hugging Face hub reads: licence, size, and which files are which table.
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from string import Template
@@ -17,7 +17,6 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from qdgrasp_assets.code_version import file_digest
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh import parts_to_obj
 from qdgrasp_coordinator.metrics.run_stats import count_rows
@@ -113,8 +112,6 @@ class IndexEntry(Struct, frozen=True, kw_only=True):
     source: str
     object_file: str
     """The name of its mesh file; empty: it is built in."""
-    mesh_sha256: str
-    """Digest of that file; empty where it was missing when this was written."""
     object_sha256: str
     """Digest of the object as it was simulated."""
     mesh: str
@@ -140,19 +137,6 @@ class IndexEntry(Struct, frozen=True, kw_only=True):
     files: tuple[str, ...] = ()
     about: str
     """Metadata of a file of this run alone, as JSON; not in CSV."""
-
-
-@dataclass(frozen=True)
-class DatasetOptions:
-    """What a data set is made of."""
-
-    format: ExportFormat
-    choice: GraspChoice
-    frame: Frame = "mesh"
-    failures: int = 0
-    meshes: str = NAME
-    shares: tuple[float, ...] = ()
-    shard_bytes: int = SHARD_BYTES
 
 
 def export_dataset(
@@ -181,12 +165,12 @@ def export_dataset(
     if meshes not in (COPY, NAME):
         raise UnknownName("meshes", meshes, (COPY, NAME))
     failures = form.failures(negatives)
-    options = DatasetOptions(form, choice, frame_of(frame), failures, meshes, shares, shard_bytes)
     output = OutFolder(out, force=force, is_kind=is_dataset)
     output.check()
     with suppress(_Stopped), output.writing() as made:
         made.mkdir()
-        with DatasetWriter(made, options) as writer:
+        writer = DatasetWriter(made, form, choice, frame_of(frame), failures, meshes, shares, shard_bytes)
+        with closing(writer):
             runs = sorted(writer.runs(folders))
             for number, run in enumerate(runs, 1):
                 tell(f"run {number} of {len(runs)}: {run.name}")
@@ -195,7 +179,7 @@ def export_dataset(
                 writer.write(run)
         tell("writing the index and the card")
         figures = writer.write_lists()
-        return f"{figures} written to {out}, poses in the objects' {options.frame} frame."
+        return f"{figures} written to {out}, poses in the objects' {frame} frame."
     return ""
 
 
@@ -205,25 +189,25 @@ class _Stopped(Exception):
 
 @dataclass
 class DatasetWriter:
-    """Writes the files of a data set into a folder, run by run; for a with-block."""
+    """Writes the files of a data set into a folder, run by run."""
 
     path: Path
-    options: DatasetOptions
+    format: ExportFormat
+    choice: GraspChoice
+    frame: Frame
+    failures: int
+    """Failures of each run, at most."""
+    meshes: str
+    shares: tuple[float, ...]
+    shard_bytes: int
     entries: list[IndexEntry] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     """Runs that cannot be read, with the reason."""
 
     def __post_init__(self) -> None:
         self._numbers: Counter[str] = Counter()  # Complete shards, by what their names begin with
-        self._meshes: dict[str, str] = {}  # Digests of objects by the mesh files that are theirs
         self._shard: tuple[str, ParquetShard | TarShard, ExitStack] | None = None
         self._engines: tuple[str, ...] = ()  # Those that any run has a table of
-
-    def __enter__(self) -> "DatasetWriter":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._end_shard()
 
     def runs(self, folders: Sequence[RunFolder]) -> Iterator[DatasetRun]:
         """Yield the runs that can be read."""
@@ -242,7 +226,7 @@ class DatasetWriter:
                 continue
             about = spec.about or ObjectRecord()
             object_ = about.id or asset_name(spec.object)
-            split = about.split or split_of(object_, self.options.shares)
+            split = about.split or split_of(object_, self.shares)
             yield DatasetRun(asset_name(spec.gripper), split, object_, unique, folder, about)
 
     def write(self, run: DatasetRun) -> None:
@@ -251,13 +235,13 @@ class DatasetWriter:
             try:
                 journal = stack.enter_context(run.folder.journal())
                 reader = GraspReader(run.folder, journal, self._engines, run.name)
-                chosen = choose_grasps(reader, self.options.choice, self.options.failures)
-                metadata = grasp_metadata(chosen, self.options.frame, self.options.format.places)
+                chosen = choose_grasps(reader, self.choice, self.failures)
+                metadata = grasp_metadata(chosen, self.frame, self.format.places)
                 entry = self._entry(run, chosen, metadata)
             except InputError as error:
                 self.left_out[run.name] = str(error)
                 return
-            is_sharded = self.options.format.name in SHARDED
+            is_sharded = self.format.name in SHARDED
             write = self._write_rows if is_sharded else self._write_file
             files = write(run, chosen, metadata, entry) if len(chosen) else ()
             self.entries.append(msgspec.structs.replace(entry, files=tuple(files)))
@@ -266,7 +250,7 @@ class DatasetWriter:
         self, run: DatasetRun, chosen: ChosenGrasps, metadata: GraspMetadata, _: IndexEntry
     ) -> list[str]:
         """Write the file of a run, in formats that have one for each; returns its names."""
-        form, home = self.options.format, self.path / DATA / job_name(run.gripper)
+        form, home = self.format, self.path / DATA / job_name(run.gripper)
         home.mkdir(parents=True, exist_ok=True)
         if form.suffix:
             made = [home / f"{run.name}{form.suffix}"]
@@ -291,7 +275,7 @@ class DatasetWriter:
         for part in chosen:
             table = part.table(metadata.frame, metadata)
             rows = None
-            if self.options.format.name == "parquet":
+            if self.format.name == "parquet":
                 rows = arrow_table(table, {METADATA_KEY: DATASET_WORDS}, same)
             shard = self._open_shard(begin, rows)
             if isinstance(shard, TarShard):
@@ -300,8 +284,8 @@ class DatasetWriter:
                 shard.add(rows)
             first += len(part)
             files[self._shard_name(begin)] = None
-            if shard.size >= self.options.shard_bytes:
-                self._end_shard()
+            if shard.size >= self.shard_bytes:
+                self.close()
         return list(files)
 
     def _open_shard(self, begin: str, rows: Any) -> ParquetShard | TarShard:
@@ -310,7 +294,7 @@ class DatasetWriter:
             other, shard, _ = self._shard
             if other == begin and (isinstance(shard, TarShard) or shard.fits(rows)):
                 return shard
-            self._end_shard()
+            self.close()
         path = self.path / self._shard_name(begin)
         path.parent.mkdir(parents=True, exist_ok=True)
         made = TarShard(path) if path.suffix == ".tar" else ParquetShard(path)
@@ -320,9 +304,10 @@ class DatasetWriter:
         return made
 
     def _shard_name(self, begin: str) -> str:
-        return f"{begin}-{self._numbers[begin]:05}{self.options.format.suffix}"
+        return f"{begin}-{self._numbers[begin]:05}{self.format.suffix}"
 
-    def _end_shard(self) -> None:
+    def close(self) -> None:
+        """Complete the open shard."""
         if self._shard is not None:
             begin, _, stack = self._shard
             stack.close()
@@ -332,12 +317,10 @@ class DatasetWriter:
     def _entry(self, run: DatasetRun, chosen: ChosenGrasps, metadata: GraspMetadata) -> IndexEntry:
         spec, body = chosen.spec, chosen.scene.object
         totals = count_rows(spec, chosen.reader.journal.blocks()).totals
-        mesh_file = Path(spec.object)
         return IndexEntry(
             object=run.object, gripper=run.gripper, run=run.name, split=run.split,
             category=run.about.category, licence=run.about.licence or body.licence,
             source=run.about.source or body.source, object_file=metadata.object_file,
-            mesh_sha256=file_digest(mesh_file) if mesh_file.suffix and mesh_file.is_file() else "",
             object_sha256=metadata.object_sha256, mesh=self._mesh(run.object, chosen, metadata),
             method=spec.method, seed=spec.seed, protocol=spec.protocol, engine=spec.engine or DEFAULT_ENGINE,
             evaluations=totals.evaluations, successes=totals.successes, grasps=totals.grasps,
@@ -348,16 +331,13 @@ class DatasetWriter:
 
     def _mesh(self, name: str, chosen: ChosenGrasps, metadata: GraspMetadata) -> str:
         """Copy the mesh of an object where that is asked for; returns its file."""
-        if self.options.meshes != COPY or not len(chosen):
+        if self.meshes != COPY or not len(chosen):
             return ""
-        digest = metadata.object_sha256
-        file = f"{MESHES}/{job_name(name)}.obj"
-        if self._meshes.setdefault(file, digest) != digest:
-            file = f"{MESHES}/{job_name(name)}-{digest[:12]}.obj"
-        self._meshes[file] = digest
-        (self.path / MESHES).mkdir(exist_ok=True)
-        solid = object_solid(chosen.scene.object, metadata.frame)
-        (self.path / file).write_bytes(parts_to_obj([solid.mesh]))
+        file = f"{MESHES}/{job_name(name)}-{metadata.object_sha256[:12]}.obj"
+        if not (self.path / file).exists():
+            (self.path / MESHES).mkdir(exist_ok=True)
+            solid = object_solid(chosen.scene.object, metadata.frame)
+            (self.path / file).write_bytes(parts_to_obj([solid.mesh]))
         return file
 
     def write_lists(self) -> str:
@@ -368,10 +348,11 @@ class DatasetWriter:
                 number, first = counted(len(self.left_out), "run"), next(iter(self.left_out.values()))
                 why = f": {number} could not be read, the first: {first}"
             raise FolderError(f"There is no grasp to write{why}")
-        if not self.options.format.suffix:
+        if not self.format.suffix:
             self._write_graspgen_lists()
         write_index(self.path, self.entries)
-        words = write_card(self.path, self.options, self.entries, self.left_out)
+        text, words = card_text(self)
+        (self.path / CARD).write_text(text, encoding="utf-8")
         beside = f"; {counted(len(self.left_out), 'run')} left out, see {CARD}" if self.left_out else ""
         return f"{words}{beside}"
 
@@ -410,11 +391,8 @@ def read_index(folder: Path) -> list[dict[str, Any]]:
     return lines
 
 
-SIZES = (
-    (1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"),
-    (10_000_000, "1M<n<10M"), (100_000_000, "10M<n<100M"), (1_000_000_000, "100M<n<1B"),
-)  # fmt: skip
-"""Categories of the hub for the number of lines."""
+SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "10M<n<100M", "100M<n<1B", "n>1T")
+"""Categories of the hub for the number of lines, each for ten times as many."""
 CARD_TEMPLATE = Template(f"""---
 $head---
 
@@ -429,9 +407,7 @@ $hands
 ## Simulation
 
 An open hand without an arm is placed at a commanded pose, closes, and the object is disturbed
-($evaluations in all):
-
-$conditions
+($evaluations in all, under the protocols and engines of the index):
 
 - success: {SUCCESS_WORDS}
 - grasp: {GRASP_WORDS}
@@ -467,10 +443,9 @@ up 6-DoF Grasp Sampling with Quality-Diversity. arXiv:2403.06173.
 """)
 
 
-def write_card(
-    folder: Path, options: DatasetOptions, entries: Sequence[IndexEntry], left_out: dict[str, str]
-) -> str:
-    """Write the card of a data set; returns how much is in it, in words."""
+def card_text(data: DatasetWriter) -> tuple[str, str]:
+    """Return the card of a data set, and how much is in it, in words."""
+    entries = data.entries
     rows, failures = (sum(getattr(entry, name) for entry in entries) for name in ("rows", "failures"))
     objects = counted(len({entry.object for entry in entries}), "object")
     beside = f" and {counted(failures, 'failure')}" if failures else ""
@@ -486,33 +461,30 @@ def write_card(
         licences.setdefault(" ".join(entry.licence.split()) or "not stated", set()).add(entry.object)
     hands = [f"| {hand} | {split or 'none'} | {len(known[hand, split])} | {count} |"
              for (hand, split), count in sorted(lines.items())]  # fmt: skip
-    under = Counter(f"- protocol `{entry.protocol}`, engine `{entry.engine}`" for entry in entries)
-    left = [f"- `{run}`: {' '.join(reason.split())}" for run, reason in left_out.items()]
+    left = [f"- `{run}`: {' '.join(reason.split())}" for run, reason in data.left_out.items()]
     text = CARD_TEMPLATE.substitute(
-        head=to_yaml(_head(options, entries, rows)),
+        head=to_yaml(_head(data, rows)),
         words=words,
         hands="\n".join(hands),
         evaluations=counted(sum(entry.evaluations for entry in entries), "evaluation"),
-        conditions="\n".join(f"{each}: {counted(count, 'run')}" for each, count in sorted(under.items())),
-        frame=options.frame,
-        meaning=OBJECT_FRAMES[options.frame].format("the mesh"),
-        format=options.format.name,
-        copies="are copied" if options.meshes == COPY else "are only named, with their digests",
+        frame=data.frame,
+        meaning=OBJECT_FRAMES[data.frame].format("the mesh"),
+        format=data.format.name,
+        copies="are copied" if data.meshes == COPY else "are only named, with their digests",
         licences="\n".join(f"| {name} | {len(each)} |" for name, each in sorted(licences.items())),
         left_out="\n".join(["", "## Left out", "", "Runs that could not be read:", "", *left, ""])
         if left
         else "",
     )
-    (folder / CARD).write_text(text, encoding="utf-8")
-    return words
+    return text, words
 
 
-def _head(options: DatasetOptions, entries: Sequence[IndexEntry], rows: int) -> dict[str, Any]:
+def _head(data: DatasetWriter, rows: int) -> dict[str, Any]:
     """Return the head of the card; of formats that the hub shows as tables, with their files."""
     tables: dict[str, dict[str, str]] = {}
-    for entry in entries if options.format.name in SHARDED else ():
+    for entry in data.entries if data.format.name in SHARDED else ():
         if entry.files:
-            pattern = f"{entry.files[0].rpartition('-')[0]}-*{options.format.suffix}"
+            pattern = f"{entry.files[0].rpartition('-')[0]}-*{data.format.suffix}"
             tables.setdefault(entry.gripper, {})[entry.split or SPLIT_NAMES[0]] = pattern
     configs = [
         {"config_name": job_name(hand),
@@ -526,7 +498,7 @@ def _head(options: DatasetOptions, entries: Sequence[IndexEntry], rows: int) -> 
         "license_name": "see-the-table-of-licences",
         "license_link": CARD,
         "task_categories": ["robotics"],
-        "tags": ["robotics", "grasping", "qdgrasp", options.format.name],
-        "size_categories": [next((name for most, name in SIZES if rows < most), "n>1T")],
+        "tags": ["robotics", "grasping", "qdgrasp", data.format.name],
+        "size_categories": [SIZES[min(max(len(str(rows)) - 3, 0), len(SIZES) - 1)]],
         "configs": [*configs, index],
     }

@@ -1,7 +1,7 @@
 """Reads and chooses grasps of a run from its journal, some thousands at a time; describes them."""
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
@@ -29,7 +29,7 @@ from qdgrasp_protocol.rows import LIFT, Outcome, Rows, trial_count
 from qdgrasp_protocol.spec import RunSpec, to_toml
 from qdgrasp_protocol.text import join_numbers
 from qdgrasp_tools.export.frames import COM, Frame, scene_original_base, squared_distances
-from qdgrasp_tools.export.grasp_set import Grasps, join_grasps
+from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import (
     FITNESS_MEANING,
     LIFT_MEANING,
@@ -51,6 +51,20 @@ def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
     with folder.journal() as journal:
         reader = GraspReader(folder, journal)
         return join_grasps([reader.at(np.zeros(0, np.int64)), *reader.blocks(least)])
+
+
+def join_grasps(parts: Sequence[Grasps]) -> Grasps:
+    """Join grasps of one run, one behind the other."""
+    return replace(
+        parts[0],
+        numbers=np.concatenate([part.numbers for part in parts]),
+        rows=join_rows([part.rows for part in parts]),
+        eta=np.concatenate([part.eta for part in parts]),
+        trials=np.concatenate([part.trials for part in parts]),
+        elsewhere={
+            name: np.concatenate([part.elsewhere[name] for part in parts]) for name in parts[0].elsewhere
+        },
+    )
 
 
 class GraspReader:

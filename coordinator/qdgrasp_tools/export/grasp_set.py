@@ -1,6 +1,6 @@
 """Grasps of a run as arrays: read from its journal; selected by fitness, rank and spread."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, overload
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats, rotate, unit
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
+from qdgrasp_coordinator.metrics.arrays import take_rows
 from qdgrasp_coordinator.metrics.grasp_quality import (
     contact_values,
     object_motion,
@@ -18,6 +18,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_mask,
     settled_poses,
 )
+from qdgrasp_coordinator.metrics.run_stats import outcome_words
 from qdgrasp_coordinator.metrics.trial_schedule import eta_error
 from qdgrasp_coordinator.search.fixed_poses import as_given, opened
 from qdgrasp_coordinator.search.registry import prior_of
@@ -54,8 +55,7 @@ OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
 class Grasp(NamedTuple):
     """One grasp: two poses of the hand's root link in the frame of the object's mesh file.
 
-    The commanded pose goes with the joints `pregrasp`, the settled pose with the joints `joints`. A notebook
-    shows it as a picture with its key figures.
+    The commanded pose goes with the joints `pregrasp`, the settled pose with the joints `joints`.
     """
 
     number: int
@@ -112,11 +112,6 @@ class Grasp(NamedTuple):
             Nodes `object`; `hand`, the frame of the hand's root link; and below it `hand/LINK`, the collision
             shapes of each link.
 
-        Raises
-        ------
-        UnknownName
-            There is no such frame.
-
         Examples
         --------
         >>> grasp = next(iter(qdgrasp.open("runs/mug").grasps(top=1)))
@@ -124,20 +119,34 @@ class Grasp(NamedTuple):
         """
         from qdgrasp_tools.export.grasp_pictures import grasp_scene  # takes its time to load
 
-        return grasp_scene(self.arrays, frame_of(frame), closed=closed)
+        alone = self.arrays
+        poses = alone.settled_poses(frame_of(frame)) if closed else alone.poses(frame_of(frame))
+        joints = (self.joints if closed else self.pregrasp).astype(np.float64)
+        return grasp_scene(alone.scene, poses[0], joints, frame)
 
     def _repr_html_(self) -> str:
         from qdgrasp_tools.export.grasp_pictures import grasp_card  # takes its time to load
 
-        return grasp_card(self.arrays)
+        grasps, row = self.grasps, self.arrays.rows[0]
+        figures: list[tuple[str, object]] = [
+            ("outcome", outcome_words(self.outcome)),
+            ("fitness", f"{self.fitness:g} of {grasps.spec.disturbances}"),
+            ("finger links in contact", int(row["contacts"])),
+            ("penetration", f"{1000 * row['penetration']:.2f} mm"),
+        ]
+        if self.trials:
+            figures.append(("eta", f"{self.eta:.3f} ± {self.eta_error:.3f}, {self.trials} trials"))
+        position = ", ".join(f"{value:.4f}" for value in self.settled_position)
+        figures.append(("settled at, in the mesh's frame", f"{position} m"))
+        title = f"Grasp {self.number} of {grasps.scene.gripper.name} on {grasps.scene.object.name}"
+        return grasp_card(grasps.scene, self.arrays.rows, title, figures)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Grasps:
     """Evaluations of one scene, as arrays of n lines.
 
-    Indexed by a number it gives one grasp, by a slice, mask or array several. A notebook shows the first few
-    of them as a picture.
+    Indexed by a number it gives one grasp, by a slice, mask or array several.
     """
 
     scene: Scene
@@ -479,20 +488,9 @@ class Grasps:
             yield GraspColumn("resting_probability", self.reach.probability, share)
 
     def _repr_html_(self) -> str:
-        from qdgrasp_tools.export.grasp_pictures import grasps_card  # takes its time to load
+        from qdgrasp_tools.export.grasp_pictures import grasp_card  # takes its time to load
 
-        return grasps_card(self)
-
-
-def join_grasps(parts: Sequence[Grasps]) -> Grasps:
-    """Join grasps of one run, one behind the other."""
-    return replace(
-        parts[0],
-        numbers=np.concatenate([part.numbers for part in parts]),
-        rows=join_rows([part.rows for part in parts]),
-        eta=np.concatenate([part.eta for part in parts]),
-        trials=np.concatenate([part.trials for part in parts]),
-        elsewhere={
-            name: np.concatenate([part.elsewhere[name] for part in parts]) for name in parts[0].elsewhere
-        },
-    )
+        counts = ((each, int((self.rows["outcome"] == each).sum())) for each in reversed(Outcome))
+        figures = [(outcome_words(outcome), number) for outcome, number in counts if number]
+        title = f"{self.scene.gripper.name} on {self.scene.object.name}"
+        return grasp_card(self.scene, self.rows, title, [("grasps", len(self)), *figures])

@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.grasp_quality import takes_held
+from qdgrasp_coordinator.metrics.run_stats import outcome_words
+from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -14,10 +16,16 @@ from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.export.grasp_pictures import grasp_labels, placed_hands
+from qdgrasp_tools.export.frames import COM
 from qdgrasp_tools.export.grasp_reader import GraspChoice, GraspReader, choose_grasps
 from qdgrasp_tools.export.grasp_set import Grasps
-from qdgrasp_tools.rendering.contact_sheet import common_camera, contact_sheet, draw_hands
+from qdgrasp_tools.rendering.contact_sheet import (
+    PanelLabel,
+    PlacedHands,
+    common_camera,
+    contact_sheet,
+    draw_hands,
+)
 from qdgrasp_tools.report.row_report import row_at
 from qdgrasp_tools.verification.replay_client import NoPose, PictureSize
 
@@ -25,6 +33,35 @@ MOST_PANELS = 48  # Grasps in one picture
 RANDOM_SEED = 0  # So that the same command draws the same grasps
 CHOICES = "best:N, diverse:N, random:N, or numbers of rows, as in best:12 and 3,17,22"
 SMALLEST_PANEL, LARGEST_PANEL = PictureSize(160, 120), PictureSize(960, 720)
+
+
+FAILURE_COLOUR = "#d3d8dd"  # Of the dot of an evaluation that was no success
+
+
+def placed_hands(grasps: Grasps, *, pregrasp: bool = False) -> PlacedHands:
+    """Return the hands as they settled, or open in the commanded pose.
+
+    A hand that never closed, since it overlapped the object, is open in any case.
+    """
+    is_open = pregrasp | (grasps.rows["outcome"] < Outcome.MISSED)[:, None]
+    poses = np.where(is_open, grasps.poses(COM), grasps.settled_poses(COM))
+    joints = np.where(is_open, grasps.pregrasp, grasps.joints).astype(np.float64)
+    return PlacedHands(grasps.scene, grasps.rows, poses, joints)
+
+
+def grasp_labels(grasps: Grasps) -> list[PanelLabel]:
+    """Return the words below each grasp: number and outcome, then eta or fitness, and margin."""
+    labels = []
+    for place in range(len(grasps)):
+        outcome, eta = Outcome(grasps.rows["outcome"][place]), grasps.eta[place]
+        score = f"fitness {grasps.fitness[place]:g} of {grasps.spec.disturbances}"
+        parts = [score if np.isnan(eta) else f"eta {eta:.2f}"]
+        if not np.isnan(grasps.margin[place]):
+            parts.append(f"margin {grasps.margin[place]:.2g}")
+        colour = FITNESS_COLOURS[outcome - Outcome.DROPPED] if outcome.is_success else FAILURE_COLOUR
+        title = f"{grasps.numbers[place]}  {outcome_words(outcome)}"
+        labels.append(PanelLabel(title, ", ".join(parts), colour))
+    return labels
 
 
 @dataclass(frozen=True)

