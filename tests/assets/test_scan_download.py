@@ -6,19 +6,17 @@ import tarfile
 import numpy as np
 import pytest
 import trimesh
-from tests.assets.file_server import cut, served
+from tests.assets.file_server import claims, cut, fails, served
 
 from qdgrasp_assets import asset_paths, scan_download, ycb
 from qdgrasp_assets.asset_check import check
 from qdgrasp_assets.geometry import collision_parts
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.object_model import read_solid
-from qdgrasp_assets.scan_download import ATTEMPTS
 from qdgrasp_assets.ycb import (
     SCANS,
     ArchivePin,
     correct_mesh,
-    drop_folded,
     fetched_mesh,
     read_pin,
     scan_differences,
@@ -92,7 +90,7 @@ def archived():
 def test_a_scan_without_a_known_hash_is_accepted_on_its_geometry_and_is_the_known_one_from_then_on(site):
     done = bring(site)
     found = hashlib.sha256(site.content).hexdigest()
-    assert site.asked == [(f"/{ARCHIVE}", None)]
+    assert site.asked == [f"/{ARCHIVE}"]
     assert fetched_mesh(NAME).read_bytes() == ply(bar())
     mesh_found = hashlib.sha256(ply(bar())).hexdigest()
     assert read_pin(ARCHIVE) == ArchivePin(size=len(site.content), sha256=found, mesh_sha256=mesh_found)
@@ -124,10 +122,6 @@ def test_what_the_package_knows_counts_before_what_a_user_has(site, monkeypatch,
     ycb.BUILT_IN_LOCK.write_text(f'["{ARCHIVE}"]\nsha256 = "{"1" * 64}"\n')
     with pytest.raises(AssetError, match="expected sha256 1111"):
         bring(site)
-
-
-def test_the_packages_lock_is_readable_and_invents_no_hash():
-    assert ycb._read_lock(ycb.BUILT_IN_LOCK) == {}
 
 
 def test_a_tampered_archive_leaves_the_scan_that_was_there(site):
@@ -162,28 +156,6 @@ def test_what_measures_right_but_is_open_is_refused(site, monkeypatch):
     monkeypatch.setitem(SCANS, NAME, ycb.Scan(archive=ARCHIVE, member=MEMBER, **of(holed())))
     site.content = tgz(ply(holed()))
     assert_refused(site, r"not closed \(watertight\): 3 edges have only one")
-
-
-@pytest.mark.parametrize("bytes_there", [0, 100, -100])
-def test_a_truncated_archive_is_refused(site, bytes_there):
-    site.content = site.content[:bytes_there]
-    assert_refused(site, r"is not a whole tar archive|There is no")
-
-
-def test_an_interrupted_fetch_is_resumed_by_the_next_one(site):
-    site.behaviours = [cut(300), *[cut(0)] * ATTEMPTS]
-    assert_refused(site, "300 bytes are kept")
-    bring(site)
-    assert site.ranges[-1] == "bytes=300-"
-    assert ycb.scan_source(NAME) == "fetched"
-
-
-def test_a_part_that_was_tampered_with_is_refused_and_thrown_away(site):
-    archived().mkdir(parents=True)
-    part = archived() / (ARCHIVE.rsplit("/", 1)[1] + ".part")
-    part.write_bytes(b"\0" * 200)
-    assert_refused(site, "is not a whole tar archive")
-    assert "no hash of its archive was known" in bring(site).sentence
 
 
 def test_names_in_an_archive_are_never_paths(site, tmp_path):
@@ -236,13 +208,6 @@ def test_a_data_folder_that_cannot_be_written_is_named(site, monkeypatch, tmp_pa
         bring(site)
 
 
-def test_a_broken_lock_file_is_named(site):
-    ycb.users_lock().parent.mkdir(parents=True)
-    ycb.users_lock().write_text("[archive]\nsha265 = 1\n")
-    with pytest.raises(AssetError, match=r"lock file '.*lock.toml' cannot be read: .*sha265"):
-        bring(site)
-
-
 def spoilt(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """The same surface in millimetres, inside out, elsewhere, corners not shared, and a fold."""
     corners = mesh.vertices[mesh.faces[:, ::-1]].reshape(-1, 3) * 1000 + 25
@@ -258,11 +223,6 @@ def test_units_frame_winding_and_folds_are_put_right(site):
     assert np.array(mesh.bounds) == pytest.approx(expected.bounds, abs=1e-8)
     assert mesh.volume == pytest.approx(expected.volume)
     assert (len(mesh.vertices), len(mesh.faces)) == (len(expected.vertices), len(expected.faces))
-
-
-def test_pairs_of_triangles_vanish_and_one_of_three_stays():
-    faces = np.array([[0, 1, 2], [2, 1, 0], [0, 1, 3], [1, 2, 3], [1, 2, 3], [2, 1, 3], [3, 3, 0]])
-    assert drop_folded(Mesh(np.eye(4, 3), faces)).faces.tolist() == [[0, 1, 3], [1, 2, 3]]
 
 
 def test_a_fetched_scan_has_the_constants_of_the_set_and_its_own_parts_but_not_those_of_released(site):
@@ -316,3 +276,11 @@ def test_a_real_scan_comes_out_of_its_archive_as_it_is_in_the_reference_data(
     mesh = ycb.read_fetched(name)
     assert mesh.bounds[0] == pytest.approx(reference.bounds[0], abs=1e-7)
     assert mesh.volume == pytest.approx(reference.volume, rel=1e-5)
+
+
+@pytest.mark.parametrize("behaviour", [cut(100), fails(404), claims(1 << 40)])
+def test_a_download_that_fails_leaves_nothing(site, behaviour):
+    site.behaviours = [behaviour]
+    assert_refused(site, "cannot be fetched|more than the .* bytes")
+    assert list(archived().iterdir()) == []
+    assert bring(site).lock is not None
