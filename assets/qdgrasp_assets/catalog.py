@@ -14,7 +14,7 @@ from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_assets.grippers.urdf import mesh_places
-from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, check_header, file_facts, read_object
+from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts, read_object
 from qdgrasp_assets.object_shape import ObjectShape, file_shape, is_in_catalog, shape_of
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
 from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
@@ -55,7 +55,6 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress) -> Scene:
     gripper_path(spec.gripper)  # an unknown hand is reported first
     if not is_in_catalog(spec.object):  # before the hand is read, which takes longer
         check_object(spec.object)
-        check_header(named_path(spec.object), spec.mesh)
     hand = carried_hand(spec)
     if is_in_catalog(spec.object):
         target = find_object(spec)

@@ -14,8 +14,8 @@ from msgspec import Struct
 
 from qdgrasp_assets.asset_paths import cache_folder, write_whole
 from qdgrasp_assets.code_version import checking_code, file_digest
-from qdgrasp_assets.geometry.mesh_io import linked_files
-from qdgrasp_assets.object_model import ObjectDraft, check_header, read_draft
+from qdgrasp_assets.geometry.mesh_io import check_file, linked_files
+from qdgrasp_assets.object_model import ObjectDraft, read_draft
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
 
@@ -41,7 +41,7 @@ def check_mesh(
     """
     cache = cache_folder() / "checked"
     try:
-        check_header(path, preparation)
+        check_file(path)
         entry = cache / f"{_content_key(path, repr((scale, preparation)))}.json"
         with suppress(OSError, msgspec.MsgspecError, RecursionError):
             return msgspec.json.decode(entry.read_bytes(), type=MeshCheck)

@@ -13,11 +13,8 @@ import numpy as np
 from qdgrasp_assets.geometry.collision_parts import Tell, collision_parts, ignore_progress
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import (
-    MOST_READ,
-    check_file,
     check_stated,
     read_mesh_file,
-    stated_triangles,
 )
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES, gap_note, repair_mesh, surface_faults
 from qdgrasp_assets.geometry.remesh import prepare_mesh
@@ -48,7 +45,6 @@ class ObjectDraft:
         return (gap,) if gap else ()
 
 
-MOST_PREPARED = MOST_READ  # Most triangles of a mesh that is made smaller
 AS_IT_IS = MeshPreparation()
 
 
@@ -63,11 +59,9 @@ def read_draft(
 
     `scale` is metres to a unit of the file; None: 1, unless the file says another unit. `preparation` are
     changes that are asked for, and `fill_holes` fills small holes. Raises `AssetError` if the file is not
-    there, no mesh, empty or without area, says another unit than it is read in, or has too many triangles by
-    its header, which is looked at before it is read.
+    there, no mesh, empty or without area, or says another unit than it is read in.
     """
     asked = preparation or AS_IT_IS
-    check_header(path, preparation)
     file = read_mesh_file(path)
     check_stated(str(path), file.unit, scale)
     mesh = file.mesh if scale is None else file.mesh.scaled(scale)
@@ -86,24 +80,6 @@ def read_draft(
     if not len(mesh.faces):
         raise AssetError(f"The mesh '{path}' has no triangle with an area; draw it again.")
     return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh, filled=fill_holes))
-
-
-def check_header(path: Path, preparation: MeshPreparation | None = None) -> None:
-    """Check that there is a mesh file of a size that is read, without reading it.
-
-    Raises `AssetError` if there is none, or its header states more triangles than are taken, or than are
-    read where it is made smaller.
-    """
-    check_file(path)
-    stated = stated_triangles(path) or 0
-    if preparation and preparation.changes_mesh:
-        most, advice = MOST_PREPARED, "in the program that made it"
-    else:
-        most, advice = MOST_TRIANGLES, "for example with --simplify 20000"
-    if stated > most:
-        raise AssetError(
-            f"The mesh '{path}' has {stated} triangles, and at most {most} are taken; simplify it, {advice}."
-        )
 
 
 def solid_draft(

@@ -35,11 +35,11 @@ from qdgrasp_assets.geometry.collision_parts import (
     limited_parts,
 )
 from qdgrasp_assets.geometry.mesh import Floats, parts_to_obj
-from qdgrasp_assets.geometry.mesh_io import linked_names
+from qdgrasp_assets.geometry.mesh_io import check_file, linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.resolution import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
-from qdgrasp_assets.object_model import ObjectGeometry, check_header, read_object, solid_draft, warn_of_mesh
+from qdgrasp_assets.object_model import ObjectGeometry, read_object, solid_draft, warn_of_mesh
 from qdgrasp_assets.scene import Vector, vector
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_protocol.build_messages import ShapeTask
@@ -232,7 +232,7 @@ def shape_task(spec: RunSpec, limits: ProcessLimits = FLEET_LIMITS) -> ShapeTask
     if is_in_catalog(spec.object):
         return None
     path = named_path(spec.object)
-    check_header(path, spec.mesh)
+    check_file(path)
     mesh, links = f"mesh{path.suffix.lower()}", {name: path.parent / name for name in linked_names(path)}
     if mesh in links or any(len(name.encode()) > MOST_NAME_BYTES for name in links):
         return None

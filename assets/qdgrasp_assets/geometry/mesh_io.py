@@ -4,18 +4,15 @@ A file is read as one mesh in its own unit; the scale multiplies its coordinates
 """
 
 import json
-import re
-import struct
-import zipfile
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, path_problem
-from qdgrasp_assets.geometry.mesh import STL_HEADER, STL_TRIANGLE, Mesh
+from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, LacksReader, UnknownName
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}  # Metres to a unit
@@ -121,7 +118,6 @@ def read_mesh(path: Path) -> Mesh:
 def read_mesh_file(path: Path) -> FileMesh:
     """Read a mesh file; `AssetError` if it is not there, no mesh of a known format, or empty."""
     check_file(path)
-    _check_claims(path)
     scene = _load_scene(path)
     geometries = [found for found in scene.geometry.values() if hasattr(found, "faces")]
     if not all(np.isfinite(found.vertices).all() for found in geometries):
@@ -228,137 +224,6 @@ def check_file(path: Path) -> None:
             f"The mesh '{path}' has {size} bytes, and at most {LARGEST_FILE >> 30} GiB are read: "
             "simplify it; 20 000 triangles show a finger as much."
         )
-
-
-HEADER_BYTES = 1 << 16  # Most bytes of a PLY or OFF file in which its header ends
-GLTF_ITEM = 64  # Most bytes of an item of a glTF accessor: a matrix of 4 x 4
-LARGEST_ZEROS = 64 << 20  # Most bytes of glTF accessors that have no data in the file
-LARGEST_JSON = 64 << 20  # Most bytes of glTF JSON that are looked at before the file is read
-PLY_LINE = re.compile(rb"^(element|property|format)[ \t]+([^\r\n]*)", re.MULTILINE)
-PLY_SIZES = dict.fromkeys(("char", "uchar", "int8", "uint8"), 1) | {
-    **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
-    **dict.fromkeys(("double", "float64"), 8),
-}
-"""Bytes of the types of PLY that do not have four."""
-PLY_FACES = re.compile(rb"^element\s+face\s+(\d+)", re.MULTILINE)
-OFF_COUNTS = re.compile(rb"^\s*OFF(?:\s|#[^\n]*\n)+(\d+)[ \t]+(\d+)")
-OBJ_FACES, STL_FACETS = (b"\nf ", b"\nf\t"), (b"endfacet", b"ENDFACET")
-"""Words of text files of which there is one for each triangle or polygon."""
-TEXT_BLOCK = 1 << 20  # Bytes that are counted at once; a core counts a gigabyte or more in a second
-NO_HEADER = (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, struct.error)
-GLTF_TRIANGLES = {4: 3, 5: 1, 6: 1}  # Corners for each further triangle, by the mode of a primitive
-
-
-def stated_triangles(path: Path) -> int | None:
-    """Return the number of triangles that a mesh file has by its header; None: not known.
-
-    Polygons count as one. OBJ and STL in text have no header: their lines are counted. Nothing is checked.
-    """
-    kind = path.suffix.lower()
-    with path.open("rb") as file, suppress(*NO_HEADER):
-        if kind == ".stl":
-            count = int.from_bytes(file.read(STL_HEADER)[-4:], "little")
-            is_binary = path.stat().st_size == STL_HEADER + STL_TRIANGLE * count
-            return count if is_binary else _count_words(file, STL_FACETS)
-        if kind == ".obj":
-            return _count_words(file, OBJ_FACES)
-        if kind in (".glb", ".gltf"):
-            return _gltf_triangles(_gltf_document(file, kind))
-        head = file.read(HEADER_BYTES)
-        if kind == ".ply" and (found := PLY_FACES.search(head.partition(b"end_header")[0])):
-            return int(found[1])
-        if kind == ".off" and (found := OFF_COUNTS.search(head)):
-            return int(found[2])
-    return None
-
-
-def _count_words(file: IO[bytes], words: tuple[bytes, ...]) -> int | None:
-    """Count words, all of one length, in a file from where it is read; None where it has none."""
-    count, rest = 0, b"\n"
-    while block := file.read(TEXT_BLOCK):
-        text = rest + block
-        count += sum(map(text.count, words))
-        rest = text[1 - len(words[0]) :]  # a word may go on in the next block
-    return count or None
-
-
-def _gltf_document(file: IO[bytes], kind: str) -> Any:
-    """Return the values in the JSON of a glTF file, or raise `ValueError`."""
-    if kind == ".gltf":
-        return json.loads(file.read(LARGEST_JSON))
-    magic, _, _, length, chunk = struct.unpack("<4sII I4s", file.read(20).ljust(20, b"\0"))
-    if magic != b"glTF" or chunk != b"JSON" or length > LARGEST_JSON:
-        raise ValueError("no JSON")
-    return json.loads(file.read(length))
-
-
-def _check_claims(path: Path) -> None:
-    """Raise `AssetError` if a file states more than it can hold, before room is made for that."""
-    kind, size = path.suffix.lower(), path.stat().st_size
-    claimed = 0
-    with path.open("rb") as file, suppress(*NO_HEADER):
-        if kind == ".ply":
-            claimed = _ply_bytes(file.read(HEADER_BYTES).partition(b"end_header")[0])
-        elif kind == ".off" and (found := OFF_COUNTS.search(file.read(HEADER_BYTES))):
-            claimed = 2 * (int(found[1]) + int(found[2]))
-        elif kind in (".glb", ".gltf"):
-            document = _gltf_document(file, kind)
-            claimed = _gltf_zeros(document["accessors"])
-            if (parts := _gltf_parts(document)) > MOST_PARTS:
-                raise AssetError(
-                    f"The mesh '{path}' has {parts} parts, and at most {MOST_PARTS} are read; join them in "
-                    "the program that made it."
-                )
-    if zipfile.is_zipfile(path):
-        with zipfile.ZipFile(path) as archive, suppress(*NO_HEADER):
-            unpacked = sum(member.file_size for member in archive.infolist())
-            claimed = unpacked if unpacked > LARGEST_FILE else 0
-    if claimed > size:
-        raise AssetError(
-            f"The mesh '{path}' is damaged: it states {claimed} bytes, and has {size}; export it again."
-        )
-
-
-def _gltf_zeros(accessors: Any) -> int:
-    """Return the most bytes that accessors without data stand for; 0 where they are few."""
-    counts = [one.get("count") for one in accessors if isinstance(one, dict) and "bufferView" not in one]
-    zeros = GLTF_ITEM * sum(count for count in counts if isinstance(count, int))
-    return zeros if zeros > LARGEST_ZEROS else 0
-
-
-def _gltf_parts(document: Any) -> int:
-    """Count the primitives of all nodes in a glTF document, of a repeated node each time."""
-    nodes, meshes = document["nodes"], document["meshes"]
-    named = [*document.get("scenes", ()), *nodes]
-    placed = (nodes[number] for one in named for number in one.get("children", one.get("nodes", ())))
-    return sum(len(meshes[node["mesh"]]["primitives"]) for node in placed if "mesh" in node)
-
-
-def _ply_bytes(header: bytes) -> int:
-    """Return the least bytes that the elements have which a PLY header states."""
-    total = count = 0
-    is_text = False
-    for key, rest in PLY_LINE.findall(header):
-        words = rest.decode("ascii", "replace").split()
-        if key == b"format":
-            is_text = words[0] == "ascii"
-        elif key == b"element":
-            count = int(words[1])
-        else:
-            kind = words[1] if words[0] == "list" else words[0]
-            total += count * (2 if is_text else PLY_SIZES.get(kind, 4))
-    return total
-
-
-def _gltf_triangles(document: Any) -> int:
-    """Count the triangles of the meshes in a glTF document, each once."""
-    accessors, count = document["accessors"], 0
-    for mesh in document.get("meshes", ()):
-        for part in mesh["primitives"]:
-            corners = accessors[part.get("indices", part["attributes"]["POSITION"])]["count"]
-            step = GLTF_TRIANGLES.get(part.get("mode", 4))
-            count += max(0, (corners - 3 + step) // step) if step else 0
-    return int(count)
 
 
 def linked_names(path: Path) -> tuple[str, ...]:

@@ -8,7 +8,6 @@ import trimesh
 from scipy.spatial import KDTree
 
 from qdgrasp_assets.catalog import find_gripper
-from qdgrasp_assets.grippers import builtin_hulls
 from qdgrasp_assets.grippers.collision_shapes import shapes
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.grippers.urdf import Urdf
@@ -82,47 +81,12 @@ def test_a_hand_needs_no_files_but_the_projects_own(name, monkeypatch):
         assert find_gripper(name).on_carrier(protocol).source == "built in"
 
 
-def test_every_joint_has_limits_and_something_that_moves_it(own):
-    file = own.gripper.file
-    for joint in own.moving:
-        assert joint.lower < joint.upper
-        assert file.joints[joint.name].driven or joint.name in file.free_joints
-
-
-def test_a_joint_that_a_gene_places_stays_within_its_limits(own):
-    for name, free in own.gripper.file.free_joints.items():
-        joint = own.robot.joint(name)
-        assert (joint.lower, joint.upper) == pytest.approx(sorted((free.low, free.high)))
-
-
-def test_every_link_that_moves_is_a_finger(own):
-    assert set(own.gripper.file.finger_links) == {joint.child for joint in own.moving}
-
-
-@pytest.mark.parametrize("name", builtin_hulls.HULLS)
-def test_the_hulls_of_a_hand_are_those_that_its_dimensions_make(name):
-    made = builtin_hulls.hull(builtin_hulls.HULLS[name]())
-    kept = trimesh.load_mesh(builtin_hulls.HERE / f"{name}.stl")
-    assert made.is_convex
-    for side in np.random.default_rng(0).normal(size=(500, 3)):
-        assert (kept.vertices @ side).max() == pytest.approx((made.vertices @ side).max(), abs=1e-6)
-
-
 @pytest.mark.parametrize("name", ["allegro", "shadow"])
 def test_a_hand_with_a_thumb_has_the_synergies_of_the_paper(name):
     own = find_gripper(name)
     assert [synergy.name for synergy in own.file.synergies] == ALL_SYNERGIES
     closing = {joint for joint, table in own.file.joints.items() if table.closed is not None}
     assert set(own.file.synergies[-1].joints) == closing
-
-
-def test_the_little_finger_of_the_shadow_closes_with_the_others_as_the_index_does():
-    by_name = {joint.name: joint for joint in find_gripper("shadow").on_carrier("paper").joints}
-    everything = find_gripper("shadow").file.synergies[-1].joints
-    for number in "321":
-        little, index = by_name[f"LFJ{number}"], by_name[f"FFJ{number}"]
-        assert {little.name, index.name} <= set(everything)
-        assert (little.opened, little.closed) == (index.opened, index.closed) == (0.0, 1.5708)
 
 
 def test_a_hand_grasps_as_the_reference_is_told_to(pair):
