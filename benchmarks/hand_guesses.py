@@ -21,8 +21,8 @@ import qdgrasp
 from qdgrasp_assets.asset_paths import asset_folders
 from qdgrasp_assets.asset_report import examine_draft, examine_hand, hand_faults
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
-from qdgrasp_assets.gripper_setup.mended_copy import mended_copy
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures
+from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.grippers.hand_model import read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf, read_urdf
@@ -193,7 +193,7 @@ def write_usable(guess: Guess, target: Path) -> None:
     if not guess.faults:
         target.write_text(draft_toml(guess.draft, target.name))
         return
-    with mended_copy(guess.robot, base, target, lambda _: None, may_centre=True) as copy:
+    with repaired_copy(guess.robot, base, target, lambda _: None, may_centre=True) as copy:
         draft = draft_gripper(copy.robot, copy.robot.path.name, DraftOverrides(base_link=copy.base))
         if faults := examine_hand(copy.robot, draft.file, "hand").faults:
             raise QdgraspError("; and ".join(faults))

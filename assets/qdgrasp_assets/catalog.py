@@ -157,8 +157,7 @@ def object_shape(spec: RunSpec) -> ObjectShape:
 def find_gripper(name: str) -> Gripper:
     """Return the gripper of this name or file.
 
-    Reference hands keep the masses that their authors left to the simulator. Errors of `build_scene`, and
-    `UnknownKey` for a key that a gripper's file does not have.
+    Reference hands keep the masses that their authors left to the simulator. Errors of `build_scene`.
     """
     path = gripper_path(name)
     if path.parent == GRIPPERS:

@@ -134,7 +134,7 @@ def test_both_of_ones_own_meet_at_a_router(scripts: Scripts, commands: Commands)
 
 
 @pytest.mark.parametrize(
-    ("gripper", "urdf", "most"), [("jaw.toml", "jaw.urdf", 15), ("hand.toml", "hand_mended.urdf", 60)]
+    ("gripper", "urdf", "most"), [("jaw.toml", "jaw.urdf", 15), ("hand.toml", "hand_repaired.urdf", 60)]
 )
 def test_of_the_three_best_grasps_two_are_held_by_the_hand_of_a_urdf_in_mujoco(
     gripper: str, urdf: str, most: float, scripts: Scripts, commands: Commands

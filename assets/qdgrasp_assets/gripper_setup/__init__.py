@@ -1,1 +1,1 @@
-"""Setup of hands that users bring: guessed gripper files, checks, and mended copies."""
+"""Setup of hands that users bring: guessed gripper files, checks, and repaired copies."""

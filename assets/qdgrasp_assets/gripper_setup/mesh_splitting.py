@@ -97,7 +97,7 @@ class MeshSplitter:
         self._done: dict[tuple[str, str], tuple[str, str]] = {}
         """New file and change in words, by mesh and scale."""
 
-    def mend(self) -> Iterator[str]:
+    def repair(self) -> Iterator[str]:
         """Rewrite the meshes of the hand for the simulator, in its element; yields the changes."""
         for link, shape in collision_elements(self._hand):
             mesh = shape.find("geometry/mesh")
@@ -134,7 +134,7 @@ class MeshSplitter:
             yield f"{counted(missing, 'visual shape')} left out, of which the meshes are missing"
 
     def corners(self, hand: Urdf, link: str) -> tuple[Floats, ...]:
-        """Return the corners (v, 3) of the mended link's convex parts [m], link frame."""
+        """Return the corners (v, 3) of the repaired link's convex parts [m], link frame."""
         found: list[Floats] = []
         for name, shape in collision_elements(hand):
             if name != link:

@@ -234,8 +234,8 @@ class Gripper:
 def read_gripper(path: Path, name: str, source: str) -> Gripper:
     """Read a gripper's TOML and the URDF that it names.
 
-    Raises `UnknownKey` for a key of the TOML that no field has, and `AssetError` if a file is missing or
-    cannot be read, a value is impossible, or the two do not fit each other.
+    Raises `AssetError` if a file is missing or cannot be read, a value is impossible, or the two do not fit
+    each other.
     """
     file = read_gripper_file(path)
     urdf = urdf_path(path, file)

@@ -1,4 +1,4 @@
-"""A gripper's TOML file: strict reading, and validation against its URDF.
+"""A gripper's TOML file: reading, and validation against its URDF.
 
 All mismatches with the URDF and impossible values are listed at once. nan and inf are among the latter.
 """
@@ -20,84 +20,7 @@ from qdgrasp_assets.geometry.rotation import rotate
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 from qdgrasp_assets.grippers.urdf_checks import kind_fault
 from qdgrasp_assets.scene import Jaw, Synergy
-from qdgrasp_protocol.errors import AssetError, UnknownKey
-
-Vector, Pair, Names = tuple[float, float, float], tuple[float, float], tuple[str, ...]
-Quaternion = tuple[float, float, float, float]
-NamePairs = tuple[tuple[str, str], ...]
-KINDS: dict[Any, str] = {
-    str: "text",
-    bool: "true or false",
-    float: "a number",
-    float | None: "a number",
-    Pair: "two numbers",
-    Vector: "three numbers",
-    Quaternion: "four numbers",
-    Names: "a list of names",
-    NamePairs: "a list of pairs of names",
-}
-TABLE_KINDS = {
-    "joints": "tables [joints.NAME]",
-    "synergies": "tables [[synergies]]",
-    "free_joints": "tables [free_joints.NAME]",
-    "jaw": "a table [jaw]",
-    "original_base": "a table [original_base]",
-}
-"""TOML notation of the inner tables."""
-REQUIRED_KEYS = {
-    "urdf": "name the hand's URDF",
-    "base_link": "name the link from which the hand goes out",
-    "approach_axis": "say which way the palm looks, such as [0, 0, 1]",
-    "palm_offset": "say how far the palm is from the base link along approach_axis [m]",
-    "standoff": "say how far the palm may stay away, [least, greatest] [m]",
-    "finger_links": "name the links whose touch makes a success",
-    "joints": "say of each joint that moves where it is open and closed",
-    "joints.open": "say where it is in the open posture [rad or m]",
-    "synergies.name": "call it something",
-    "synergies.joints": "name those that close together",
-    "free_joints.low": "say where the least of its gene puts it [rad or m]",
-    "free_joints.high": "say where the greatest of its gene puts it [rad or m]",
-    "jaw.axis": "say which way one finger is from the other, such as [0, 1, 0]",
-    "original_base.link": "name the link from which the hand goes out in its maker's URDF",
-    "original_base.position": "say where that link is in the base link's frame, [x, y, z] [m]",
-    "jaw.opening": "say how far apart the open fingers are [m]",
-}
-"""Advice for each required field that is left out."""
-
-
-def _inner_tables(values: dict[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    for table in TABLES:
-        match values.get(table):
-            case dict() as entry if table in ("jaw", "original_base"):
-                yield table, table, entry
-            case dict() as named if table:
-                yield from ((table, f"{table}.{name}", entry) for name, entry in named.items())
-            case list() as listed:
-                yield from ((table, f"{table}.{place}", entry) for place, entry in enumerate(listed))
-
-
-def _check_table(path: Path, table: str, label: str, values: Any, struct: Any) -> None:
-    fields = {field.name: field for field in msgspec.structs.fields(struct)}
-    if not isinstance(values, dict):
-        raise AssetError(f"'{path}': {label} must be a table, got {values!r}.")
-    for name, value in values.items():
-        if name not in fields:
-            raise UnknownKey(f"{path}: {label}" if label else str(path), name, fields)
-        try:
-            msgspec.convert(value, fields[name].type)
-        except msgspec.ValidationError:
-            expected = KINDS.get(fields[name].type) or TABLE_KINDS[name]
-            full = f"{label}.{name}" if label else name
-            raise AssetError(f"'{path}': {full} must be {expected}, got {value!r}.") from None
-    place = f" in {label}" if label else ""
-    missing = [
-        f"no {name}{place}: {REQUIRED_KEYS[f'{table}.{name}' if table else name]}"
-        for name, field in fields.items()
-        if field.required and name not in values
-    ]
-    if missing:
-        raise AssetError(f"'{path}' says {'; '.join(missing)}.")
-
+from qdgrasp_protocol.errors import AssetError
 
 ON_ASSET_PATH = "asset://"
 NOTHING_CLOSES = "no joint closes: give those of the fingers a closed position that is not the open one"
@@ -186,17 +109,6 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return (toml.parent / self.urdf,)
 
 
-TABLES: dict[str, Any] = {
-    "": GripperFile,
-    "joints": JointTable,
-    "synergies": Synergy,
-    "free_joints": FreeJointTable,
-    "jaw": Jaw,
-    "original_base": OriginalBase,
-}
-"""Struct of each table by its key; empty: the file itself, `joints`: each `[joints.NAME]`."""
-
-
 def urdf_path(path: Path, file: GripperFile) -> Path:
     """Return the path of the URDF of a file; `AssetError` if not found on the asset path."""
     found = file.find_urdf(path)
@@ -209,22 +121,17 @@ def urdf_path(path: Path, file: GripperFile) -> Path:
 
 
 def read_gripper_file(path: Path) -> GripperFile:
-    """Read a gripper's TOML alone.
-
-    Raises `UnknownKey` for a key that no field has, and `AssetError` if the file is not there or no TOML, or
-    a field is left out or of another kind.
-    """
+    """Read a gripper's TOML alone; `AssetError` if it is not there, or not of the keys and kinds above."""
     if why := path_problem(path):
         raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), GripperFile)
     except OSError as error:
         raise AssetError(f"No gripper can be read at '{path}': {error.strerror or error}.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise AssetError(f"'{path}' is not TOML: {error}.") from None
-    for table, label, entry in (*_inner_tables(values), ("", "", values)):
-        _check_table(path, table, label, entry, TABLES[table])
-    return msgspec.convert(values, GripperFile)
+    except (ValueError, RecursionError) as error:
+        raise AssetError(
+            f"'{path}' is no gripper's file: {error}; docs/grippers.md says what each key holds."
+        ) from None
 
 
 def _non_finite(value: Any, name: str = "") -> Iterator[str]:

@@ -304,7 +304,7 @@ def _references(hand: Urdf) -> dict[str, list[str]]:
 
 
 def _missing_mesh(hand: Urdf, name: str) -> str:
-    """Describe why a mesh cannot be read, where it should be, and how to mend that."""
+    """Describe why a mesh cannot be read, where it should be, and how to correct that."""
     if not name.startswith(PACKAGE):
         place = hand.path.parent / name.removeprefix("file://")
         return f"{path_problem(place) or 'cannot be read'}: there should be a mesh file at '{place}'"

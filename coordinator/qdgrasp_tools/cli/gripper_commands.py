@@ -18,7 +18,7 @@ from qdgrasp_assets.asset_check import examine_gripper
 from qdgrasp_assets.asset_report import examine_draft, examine_urdf, hand_faults, read_hand
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
-from qdgrasp_assets.gripper_setup.mended_copy import mended_copy, mended_meshes, mended_urdf
+from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf
 from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.mjcf import is_mjcf
@@ -275,7 +275,7 @@ def _single_tree(urdf: Path) -> Urdf:
 def _usable_robot(
     robot: Urdf, given: DraftOverrides, file: OutFile, until_written: ExitStack, *, mend: bool, asks: bool
 ) -> tuple[Urdf, DraftOverrides]:
-    """The robot, or a mended copy of its hand, with the base link that is to be used.
+    """The robot, or a repaired copy of its hand, with the base link that is to be used.
 
     A hand of an MJCF file is always copied, to a URDF. The copy goes where `until_written` fails.
     """
@@ -293,17 +293,17 @@ def _usable_robot(
     translates = is_mjcf(robot.path)
     if not mend and not translates:
         return robot, given
-    OutFile(mended_urdf(file.path), force=file.force).check()
-    OutFolder(mended_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
+    OutFile(repaired_urdf(file.path), force=file.force).check()
+    OutFolder(repaired_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
     may_centre = mend and given.base_link is None
     until_written.enter_context(atomic_files.making_parents(file.path.absolute().parent))
-    mending = mended_copy(
+    mending = repaired_copy(
         robot, base, file.path, _print_examination, may_centre=may_centre, overrides=given, as_it_is=not mend
     )
     copy = until_written.enter_context(mending)
     for change in copy.changes or (("nothing had to be",) if mend else ()):
-        echo(f"mended: {change}")
-    echo(f"written: {mended_urdf(file.path)}")
+        echo(f"repaired: {change}")
+    echo(f"written: {repaired_urdf(file.path)}")
     return copy.robot, replace(
         given, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
     )
@@ -316,7 +316,7 @@ def _print_examination(sentence: str) -> None:
 def _wants_copy(found: Iterable[str]) -> bool:
     for fault in found:
         echo(f"WRONG {fault}", err=True)
-    return typer.confirm("Write a mended copy of the hand, and use that?", default=True)
+    return typer.confirm("Write a repaired copy of the hand, and use that?", default=True)
 
 
 def _reference(urdf: Path, target: Path) -> str:

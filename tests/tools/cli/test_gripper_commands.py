@@ -124,9 +124,9 @@ def test_what_cannot_be_used_is_refused_with_all_faults_and_what_helps(gripper):
     assert not Path("jaw.toml").exists()
 
 
-def test_a_mended_copy_lies_beside_the_file_and_is_what_it_names(gripper, bare):
-    assert "mended: the link 'palm' is given a mass" in gripper("new", "jaw.urdf", "--mend").stdout
-    assert read_gripper_file(Path("jaw.toml")).urdf == "jaw_mended.urdf"
+def test_a_repaired_copy_lies_beside_the_file_and_is_what_it_names(gripper, bare):
+    assert "repaired: the link 'palm' is given a mass" in gripper("new", "jaw.urdf", "--mend").stdout
+    assert read_gripper_file(Path("jaw.toml")).urdf == "jaw_repaired.urdf"
     assert gripper("check", "jaw.toml").exit_code == 0
 
 
@@ -152,7 +152,7 @@ def test_on_a_terminal_it_asks_whether_to_mend(gripper, monkeypatch):
     monkeypatch.setattr(command, "is_asked", lambda: True)
     done = gripper("new", "jaw.urdf", input="y\n" + "\n" * 6)
     assert done.exit_code == 0, done.output
-    assert Path("jaw_mended.urdf").is_file()
+    assert Path("jaw_repaired.urdf").is_file()
     assert isinstance(gripper("new", "jaw.urdf", "--force", input="n\n").exception, AssetError)
 
 
@@ -180,13 +180,13 @@ def test_a_hand_of_a_mujoco_file_becomes_a_urdf_beside_its_file(gripper, tmp_pat
     done = gripper("new", "hand.xml", "--licence", "CC0", "--closed", "left_crank=0.4")
     assert done.exit_code == 0, done.output
     assert "read: 'left_rocker' (1 times it), " in done.stdout
-    assert "written: hand_mended.urdf" in done.stdout
+    assert "written: hand_repaired.urdf" in done.stdout
     assert "mended:" not in done.stdout
     assert (read_gripper_file(Path("hand.toml")).urdf, len(list(Path("hand_meshes").iterdir()))) == (
-        "hand_mended.urdf",
+        "hand_repaired.urdf",
         4,
     )
-    urdf = Path("hand_mended.urdf").read_text()
+    urdf = Path("hand_repaired.urdf").read_text()
     assert "<!-- It was made from 'hand.xml'. -->" in urdf
     assert 'filename="hand_meshes/left_crank_capsule.obj"' in urdf
     Path("hand.xml").unlink()  # the file and its copy stand alone
@@ -198,8 +198,8 @@ def test_a_hand_of_a_mujoco_file_is_mended_like_others(gripper, tmp_path):
     flags = ("hand.xml", "--yes", "--closed", "left_crank=0.4")
     done = gripper("new", *flags, "--mend")
     assert done.exit_code == 0, done.output
-    assert "mended: nothing had to be" in done.stdout
-    assert "hand_meshes/left_crank_capsule.obj" in Path("hand_mended.urdf").read_text()
+    assert "repaired: nothing had to be" in done.stdout
+    assert "hand_meshes/left_crank_capsule.obj" in Path("hand_repaired.urdf").read_text()
     assert gripper("new", *flags).exception is not None  # it is there already
     assert gripper("new", *flags, "--force").exit_code == 0
 
@@ -243,8 +243,8 @@ def test_folders_are_made_for_what_is_written_and_not_for_what_is_refused(grippe
     assert isinstance(gripper("new", "jaw.urdf", *flags, "--standoff", "0.05,0.01").exception, AssetError)
     assert [path.name for path in Path().iterdir()] == ["jaw.urdf"]
     assert gripper("new", "jaw.urdf", *flags).exit_code == 0
-    assert Path("new/hands/jaw_mended.urdf").is_file()
-    assert read_gripper_file(Path("new/hands/jaw.toml")).urdf == "jaw_mended.urdf"
+    assert Path("new/hands/jaw_repaired.urdf").is_file()
+    assert read_gripper_file(Path("new/hands/jaw.toml")).urdf == "jaw_repaired.urdf"
 
 
 def test_the_urdf_is_never_written_over(gripper):
@@ -253,7 +253,7 @@ def test_the_urdf_is_never_written_over(gripper):
     assert Path("jaw.urdf").read_text() == example_hands.JAW_URDF
 
 
-def test_what_is_found_bad_is_not_written_and_its_mended_copy_goes(gripper, bare):
+def test_what_is_found_bad_is_not_written_and_its_repaired_copy_goes(gripper, bare):
     done = gripper("new", "jaw.urdf", "--standoff", "0.05,0.01", "--mend")
     assert isinstance(done.exception, AssetError)
     assert "WRONG            standoff must be [least, greatest]" in done.stdout

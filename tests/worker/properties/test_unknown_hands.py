@@ -14,7 +14,7 @@ from qdgrasp_assets.asset_report import examine
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
-from qdgrasp_assets.gripper_setup.mended_copy import mended_copy
+from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy
 from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.urdf import read_urdf
@@ -51,7 +51,7 @@ def scene_of(urdf: Path, folder: Path, target: str, *, mends: bool = False) -> S
     """A scene of a hand as it is guessed."""
     robot, base, file = read_urdf(urdf), None, folder / "own.toml"
     if mends:
-        with mended_copy(robot, guess_base(robot)[0], file, lambda _: None, may_centre=True) as copy:
+        with repaired_copy(robot, guess_base(robot)[0], file, lambda _: None, may_centre=True) as copy:
             robot, base = copy.robot, copy.base
     draft = draft_gripper(robot, str(robot.path), DraftOverrides(base_link=base))
     file.write_text(draft_toml(draft, file.name))

@@ -1,4 +1,4 @@
-"""Mended copies of hands that the simulator can take: a URDF and a folder of meshes.
+"""RepairedHand copies of hands that the simulator can take: a URDF and a folder of meshes.
 
 They lie beside the gripper's file and hold the hand alone. Usable parts stay as they are; each change is
 described in words. Links without a mass get that of solids of water, which is near that of hollow metal. A
@@ -74,12 +74,12 @@ def _inertial(parts: tuple[Floats, ...]) -> tuple[str, ET.Element]:
     return f"{mass:.6g}", inertial
 
 
-Mended = tuple[ET.Element, dict[str, bytes], tuple[str, ...]]
-"""A mended `<robot>`, its meshes by path, and the changes in words."""
+RepairedHand = tuple[ET.Element, dict[str, bytes], tuple[str, ...]]
+"""A repaired `<robot>`, its meshes by path, and the changes in words."""
 
 
-def mend(robot: Urdf, base: str, folder: str, tell: Tell, time_limit: float = TIME_LIMIT) -> Mended:
-    """Mend the hand from link `base` on, of a URDF whose links and joints are one tree.
+def repair(robot: Urdf, base: str, folder: str, tell: Tell, time_limit: float = TIME_LIMIT) -> RepairedHand:
+    """Repair the hand from link `base` on, of a URDF whose links and joints are one tree.
 
     Meshes will lie in `folder`, relative to the URDF that will be written. `tell` is called with a sentence
     before each slow step, for which CoACD has `time_limit` [s]. Raises `AssetError` if a mesh is missing or
@@ -87,13 +87,13 @@ def mend(robot: Urdf, base: str, folder: str, tell: Tell, time_limit: float = TI
     """
     hand = replace(robot, element=robot.subtree(base).element)
     splitter = MeshSplitter(hand, folder, tell, time_limit)
-    changes = [*_joints(hand.path, hand.element), *_shapes(hand.element), *splitter.mend()]
+    changes = [*_joints(hand.path, hand.element), *_shapes(hand.element), *splitter.repair()]
     changes += splitter.copy_visuals()
     changes += weigh(parse_robot(hand.path, hand.element), splitter)
     return hand.element, splitter.files, tuple(changes)
 
 
-def transcribe(robot: Urdf, base: str, folder: str) -> Mended:
+def transcribe(robot: Urdf, base: str, folder: str) -> RepairedHand:
     """Return the hand from link `base` on as it is; meshes that are no files yet go to `folder`."""
     element = copy.deepcopy(robot.subtree(base).element)
     files = {}
@@ -155,15 +155,15 @@ def with_visual_shapes(robot: Urdf) -> Urdf:
 
 
 @dataclass(frozen=True)
-class MendedCopy:
-    """A mended copy of a hand."""
+class RepairedCopy:
+    """A repaired copy of a hand."""
 
     robot: Urdf
     base: str
     changes: tuple[str, ...]
 
 
-def centre_base(robot: Urdf, base: str, overrides: DraftOverrides) -> MendedCopy | None:
+def centre_base(robot: Urdf, base: str, overrides: DraftOverrides) -> RepairedCopy | None:
     """Add a base link on the fingers' line before `base`; None where they close near its line.
 
     The hand approaches and closes as in its file, where `overrides` tell nothing else. Raises as
@@ -193,28 +193,28 @@ def centre_base(robot: Urdf, base: str, overrides: DraftOverrides) -> MendedCopy
         f"on the line on which the fingers close: poses are those of '{name}', and exports say where "
         f"'{base}' is"
     )
-    return MendedCopy(parse_robot(robot.path, element), name, (change,))
+    return RepairedCopy(parse_robot(robot.path, element), name, (change,))
 
 
 HEAD = (
-    "<!-- A mended copy, written by `qdgrasp gripper new`, which writes it again where it is told to. -->\n"
+    "<!-- A repaired copy, written by `qdgrasp gripper new`, which writes it again where it is told to. -->\n"
 )
 """First line of each copy; a file without it is the user's own."""
 
 
-def mended_urdf(toml: Path) -> Path:
-    """Return the path of the mended URDF of a gripper's file."""
-    return toml.with_name(f"{toml.stem}_mended.urdf")
+def repaired_urdf(toml: Path) -> Path:
+    """Return the path of the repaired URDF of a gripper's file."""
+    return toml.with_name(f"{toml.stem}_repaired.urdf")
 
 
-def mended_meshes(toml: Path) -> Path:
-    """Return the path of the folder of the mended URDF's meshes."""
+def repaired_meshes(toml: Path) -> Path:
+    """Return the path of the folder of the repaired URDF's meshes."""
     return toml.with_name(f"{toml.stem}_meshes")
 
 
 def check_replaceable(robot: Urdf, toml: Path) -> None:
     """Check that a copy replaces only an older one that `robot` does not use; else `AssetError`."""
-    urdf, folder = mended_urdf(toml), mended_meshes(toml)
+    urdf, folder = repaired_urdf(toml), repaired_meshes(toml)
     if urdf.exists() and (path_problem(urdf) or not _is_copy(urdf)):
         _refuse(urdf, "was not written by --mend")
     if folder.exists() and not _holds_copies(folder, urdf):
@@ -226,7 +226,7 @@ def check_replaceable(robot: Urdf, toml: Path) -> None:
 
 
 @contextmanager
-def mended_copy(
+def repaired_copy(
     robot: Urdf,
     base: str,
     toml: Path,
@@ -236,10 +236,10 @@ def mended_copy(
     overrides: DraftOverrides | None = None,
     as_it_is: bool = False,
     time_limit: float = TIME_LIMIT,
-) -> Iterator[MendedCopy]:
-    """Write a mended copy of the hand from link `base` on, beside the gripper's file `toml`.
+) -> Iterator[RepairedCopy]:
+    """Write a repaired copy of the hand from link `base` on, beside the gripper's file `toml`.
 
-    With `as_it_is` nothing is mended: a hand whose file is no URDF becomes one.
+    With `as_it_is` nothing is repaired: a hand whose file is no URDF becomes one.
 
     It replaces an older copy at once. Where the with-block fails, the older files are restored.
     `tell` is called before each slow step. With `may_centre` another base link is put before `base` where the
@@ -249,7 +249,7 @@ def mended_copy(
     or another file is in its place; and the errors of `draft_gripper`.
     """
     check_replaceable(robot, toml)
-    urdf, names = mended_urdf(toml), (mended_urdf(toml).name, mended_meshes(toml).name)
+    urdf, names = repaired_urdf(toml), (repaired_urdf(toml).name, repaired_meshes(toml).name)
     with _writing(urdf):
         folder = TemporaryDirectory(prefix=f".{toml.stem}.", dir=toml.parent)
     with folder as temporary:
@@ -258,11 +258,11 @@ def mended_copy(
             each.mkdir()
         with _writing(urdf):
             if as_it_is:
-                mended = transcribe(robot, base, names[1])
+                repaired = transcribe(robot, base, names[1])
             else:
-                mended = mend(robot, base, names[1], tell, time_limit)
+                repaired = repair(robot, base, names[1], tell, time_limit)
             origin = robot.path.name
-            copy = _write_copy(mended, base, new / urdf.name, origin)
+            copy = _write_copy(repaired, base, new / urdf.name, origin)
             centred = centre_base(copy.robot, base, overrides or DraftOverrides()) if may_centre else None
             if centred is not None:
                 _write_urdf(centred.robot.element, new / urdf.name, origin)
@@ -278,14 +278,14 @@ def mended_copy(
             raise
 
 
-def _write_copy(mended: Mended, base: str, urdf: Path, origin: str) -> MendedCopy:
+def _write_copy(repaired: RepairedHand, base: str, urdf: Path, origin: str) -> RepairedCopy:
     """Write the copy of file `origin`: its URDF to `urdf`, its meshes to their paths from there."""
-    element, meshes, changes = mended
+    element, meshes, changes = repaired
     for name, content in meshes.items():
         (urdf.parent / name).parent.mkdir(parents=True, exist_ok=True)
         (urdf.parent / name).write_bytes(content)
     _write_urdf(element, urdf, origin)
-    return MendedCopy(read_urdf(urdf), base, changes)
+    return RepairedCopy(read_urdf(urdf), base, changes)
 
 
 def _write_urdf(element: ET.Element, path: Path, origin: str) -> None:
@@ -306,7 +306,7 @@ def _writing(urdf: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise AssetError(
-            f"The mended hand cannot be written to '{urdf}': {error.strerror or error}."
+            f"The repaired hand cannot be written to '{urdf}': {error.strerror or error}."
         ) from None
 
 
@@ -337,5 +337,5 @@ def _is_in(folder: Path, robot: Urdf, name: str) -> bool:
 def _refuse(path: Path, why: str) -> NoReturn:
     raise AssetError(
         f"'{path}' {why}, and is not replaced, not even with --force: name another path with --out, beside "
-        "which the mended copy is written."
+        "which the repaired copy is written."
     )
