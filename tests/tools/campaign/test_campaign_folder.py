@@ -2,8 +2,6 @@
 
 import re
 import shutil
-import sqlite3
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -79,12 +77,6 @@ def test_a_run_whose_trials_end_a_generation_early_keeps_its_budget(tmp_path: Pa
     assert whole.spec.evaluations == 100
 
 
-def test_there_are_no_more_evaluations_than_poses(tmp_path: Path) -> None:
-    folder = begun(tmp_path, generation(8)[:8], method="given", poses=((0.0,) * 7,) * 8, evaluations=8)
-    with pytest.raises(ImpossibleValue, match="at most 8, one for each pose"):
-        extend_run(folder, evaluations=9)
-
-
 N = 100
 
 
@@ -131,20 +123,6 @@ def test_a_finished_run_is_opened_once(run: RunFolder, campaign: JobFolder, open
 
 def run_spec_of(campaign: JobFolder) -> RunSpec:
     return RunFolder(campaign.run_path("run-0")).spec
-
-
-def test_another_end_or_other_rows_are_counted_anew(campaign: JobFolder) -> None:
-    spec = run_spec_of(campaign)
-    known = extent(campaign, spec)
-    assert finished_here(campaign, spec) is not None
-    longer = msgspec.structs.replace(spec, evaluations=N + 1)
-    assert finished_here(campaign, longer) is None
-    assert extent(campaign, longer).runs_done == 0
-    with closing(sqlite3.connect(campaign.run_path("run-0") / JOURNAL)) as journal, journal:
-        journal.execute("UPDATE turns SET last = last + 1")
-    assert finished_here(campaign, spec) is None
-    assert extent(campaign, spec) == known
-    assert finished_here(campaign, spec) is not None
 
 
 @pytest.mark.parametrize(
@@ -255,16 +233,3 @@ def test_a_damaged_journal_keeps_no_campaign_from_going_on(path: Path) -> None:
     run = RunFolder.add(JobFolder(path), name, spec, None)
     (run.path / JOURNAL).write_bytes(b"no journal")
     assert begin_campaign(path, asked()).runs_done == 0
-
-
-def test_a_campaign_keeps_its_name_on_the_bus(path: Path) -> None:
-    begin_campaign(path, asked(), "many")
-    with pytest.raises(FolderError, match="is of job 'many', not 'few'"):
-        begin_campaign(path, asked(), "few")
-
-
-def test_a_single_run_is_no_campaign(tmp_path: Path) -> None:
-    RunFolder.create(tmp_path / "one", next(iter(asked().runs.values())), None)
-    for act in (open_campaign, lambda one: begin_campaign(one, asked())):
-        with pytest.raises(FolderError, match="holds a single run, no campaign"):
-            act(tmp_path / "one")

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from msgspec import structs
 
 from qdgrasp_assets.object_shape import build_shape, pack_shape
 from qdgrasp_coordinator.scheduler.run_plan import ShapesMissing, full_spec, prepare_scene
@@ -87,14 +86,6 @@ def test_runs_are_made_with_the_scene_that_this_machine_would_build(runs, tmp_pa
     assert scenes == {name: prepare_scene(spec).bundle.digest for name, spec in runs.items()}
 
 
-def test_no_more_shapes_are_looked_for_than_are_asked_for(runs: dict[str, RunSpec]) -> None:
-    queue = CampaignRunQueue(None, runs)
-    first = queue.wanted_shapes(1)
-    assert len(first.shapes) == 1
-    assert not first.is_last
-    assert len(queue.wanted_shapes(1).shapes) == 1
-
-
 def test_shapes_that_are_likely_to_be_needed_are_expected(runs: dict[str, RunSpec], tmp_path: Path) -> None:
     queue = CampaignRunQueue(None, runs)
     assert queue.expected_shapes == 0.0  # nothing was looked at
@@ -144,16 +135,6 @@ def test_a_shape_that_no_worker_gives_is_built_here(runs, pieces) -> None:
     assert sorted(open_all(queue)) == sorted(runs)
 
 
-def test_a_shape_of_coarse_parts_is_warned_of(runs: dict[str, RunSpec], tmp_path: Path) -> None:
-    queue = CampaignRunQueue(None, runs)
-    wanted, _ = queue.wanted_shapes(10).shapes
-    shape = build_shape(wanted.task, files(wanted, tmp_path / "worker"))
-    coarse = structs.replace(shape, collision_source="own hull: CoACD took more than 120 s")
-    warning = queue.take_shape(BuildReply(wanted.task.key, split_payload(pack_shape(coarse))))
-    assert warning is not None
-    assert warning.words.startswith("'box40.stl': its convex parts are not as fine as they should be (own ")
-
-
 def test_poses_that_the_hand_cannot_take_fail_their_run_alone_and_leave_no_folder(tmp_path: Path) -> None:
     asked = {"gripper": "panda", "object": "tennis_ball", "method": "given", "evaluations": 1}
     good, bad = ({**asked, "poses": [[*place, *turn]]} for place, turn in POSES)
@@ -168,19 +149,3 @@ def test_poses_that_the_hand_cannot_take_fail_their_run_alone_and_leave_no_folde
     RunFolder.add(folder, "b", specs["b"], prepare_scene(specs["a"]).bundle)
     with pytest.raises(RunFailed, match="of length zero"):
         CampaignRunQueue(folder, {"b": specs["b"]}).next()
-
-
-def test_without_a_home_runs_on_meshes_fail_and_the_others_are_made(runs, monkeypatch) -> None:
-    monkeypatch.setenv("QDGRASP_CACHE", "~nobody-of-that-name/cache")
-    queue, failed = CampaignRunQueue(None, runs), []
-    while True:
-        try:
-            plan = queue.next()
-        except RunFailed as failure:
-            failed.append(str(failure))
-        else:
-            if plan is None:
-                break
-            assert plan.run == "panda-tennis_ball-aimed-s0"
-    assert len(failed) == 4
-    assert all("no home folder" in words for words in failed)

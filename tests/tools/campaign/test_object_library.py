@@ -13,7 +13,6 @@ import trimesh
 from pyarrow import parquet
 from typer.testing import CliRunner
 
-from qdgrasp_assets.catalog import build_scene
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes
@@ -106,29 +105,6 @@ def test_a_campaigns_file_names_a_manifest_as_an_object(library, tmp_path):
     assert all(runs[name] == spec for name, spec in alone.items())
 
 
-def test_the_scene_says_what_the_manifest_says_and_what_was_done_with_the_mesh(library):
-    one, other = campaign_of_meshes(
-        write_manifest(library / "objects.csv"), LibraryRules(), VALUES
-    ).runs.values()
-    found = build_scene(one).object
-    assert (found.name, found.licence) == ("acme/part one", "CC-BY-4.0")
-    assert found.source == "acme 1.2: part.stl (scale 0.001)"
-    assert build_scene(other).object.source == "part.stl (convex hull, simplified to 100 triangles)"
-
-
-def test_folders_in_a_folder_are_read_and_their_meshes_named_by_their_path(library):
-    trimesh.creation.box(BLOCK).export(library / "top.obj")
-    (library / "masses.csv").write_text("file,mass\nb/part.stl,0.2\n")
-    shutil.copy(library / "b" / "part.stl", library / "a" / "part.stl")
-    runs = campaign_of_meshes(library, LibraryRules(mass=0.1), VALUES).runs
-    assert {name: spec.mass for name, spec in runs.items()} == {
-        "panda-a-part-aimed-s0-physical": 0.1,
-        "panda-b-part-aimed-s0-physical": 0.2,
-        "panda-top-aimed-s0-physical": 0.1,
-    }
-    assert runs["panda-top-aimed-s0-physical"].about is None
-
-
 def test_flags_are_for_rows_that_do_not_say_otherwise(library):
     rules = LibraryRules(mass=1.0, mesh=MeshPreparation(glued=True))
     rows = [ROWS[0] | {"density": "", "mass": ""}, ROWS[1]]
@@ -198,12 +174,6 @@ def test_two_rows_of_one_file_or_one_name_are_refused(library):
         read_library(write_manifest(library / "objects.csv", again), LibraryRules())
     assert "its file is that of 'b/part' too" in str(refused.value)
     assert "would be called as those of 'b/part'" in str(refused.value)
-
-
-def test_nothing_is_skipped_where_nothing_would_be_left(library):
-    rows = [{"file": "lost.stl", "mass": 1}]
-    with pytest.raises(UnusableMeshes, match="1 of 1"):
-        read_library(write_manifest(library / "objects.csv", rows), SKIPPING)
 
 
 def asked_for(manifest: Path) -> Campaign:

@@ -10,7 +10,6 @@ from tests.tools.monitor.sample_jobs import event
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
-from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
 from qdgrasp_tools.campaign.object_library import SkippedObject
 from qdgrasp_tools.campaign.object_table import (
@@ -66,17 +65,6 @@ def test_the_runs_of_an_object_are_added_up() -> None:
     assert found.names == ["panda-mug-s0", "allegro-mug-s0", "panda-mug-s1"]
 
 
-def test_objects_come_in_the_order_of_their_runs_and_those_left_out_behind() -> None:
-    left_out = [SkippedObject("torn", "/lib/torn.stl", "it is not closed", "--remesh or --hull")]
-    found = list_objects([run("b"), run("a"), run("b", hand="allegro")], left_out)
-    assert [each.object for each in found] == ["b", "a", "torn"]
-    assert (found[2].state, found[2].file, found[2].runs) == ("skipped", "/lib/torn.stl", 0)
-    assert found[2].note == "left out: it is not closed; mend: --remesh or --hull"
-    assert list_objects([], [SkippedObject("x", "", "its row says no mass", "")])[0].note == (
-        "left out: its row says no mass"
-    )
-
-
 @pytest.mark.parametrize(
     ("runs", "state"),
     [
@@ -114,14 +102,6 @@ NARROW = totals(successes=2000, grasps=1000, cells=4)
 def test_an_object_that_got_little_says_why(found: RunTotals, reason: str) -> None:
     assert many(x=found)["x"].little == reason
     assert [each.object for each in many(x=found).values() if each.little] == (["x"] if reason else [])
-
-
-def test_a_tenth_of_the_median_is_the_border() -> None:
-    few = totals(successes=2000, grasps=99, cells=200)
-    assert many(x=few)["x"].little.startswith("few grasps")
-    assert not many(x=structs.replace(few, grasps=100))["x"].little
-    assert not many(x=structs.replace(few, grasps=100, cells=20))["x"].little
-    assert many(x=structs.replace(few, grasps=100, cells=19))["x"].little.startswith("few cells")
 
 
 def test_an_object_is_judged_by_its_finished_runs_alone() -> None:
@@ -163,18 +143,6 @@ def failure(number: int, words: str, run: str) -> Any:
     return event(number, words, kind="error", run=run, object="a")
 
 
-def test_a_run_that_fails_is_told_at_its_object() -> None:
-    before = list_objects([waiting("a"), waiting("a", hand="allegro"), waiting("b")])
-    found = with_events(before, [failure(n, "It has no parts.", "panda-a-s0") for n in (1, 2)])
-    assert (found[0].runs_failed, found[0].state, found[0].warnings) == (1, "waiting", ["It has no parts."])
-    both = with_events(
-        found, [failure(3, "No parts.", "panda-a-s0"), failure(4, "No parts.", "allegro-a-s0")]
-    )
-    assert (both[0].state, both[0].runs_failed, both[1].state) == ("failed", 2, "waiting")
-    over = with_events(list_objects([run("a"), waiting("a", seed=1)]), [failure(1, "No.", "panda-a-s1")])
-    assert over[0].state == "done"
-
-
 def test_an_object_whose_shape_is_built_is_building_until_a_run_begins() -> None:
     before = list_objects([waiting("a"), run("b", is_done=False)], [SkippedObject("a2", "a2", "torn", "")])
     states = [each.state for each in with_events(before, [], ["a", "b", "a2"])]
@@ -211,26 +179,6 @@ def names(listings: list[ObjectListing]) -> list[str]:
 )
 def test_all_words_of_a_search_are_to_be_found(search: str, found: list[str]) -> None:
     assert names(select_objects(OBJECTS, search)) == found
-
-
-@pytest.mark.parametrize(
-    ("key", "down", "first"),
-    [
-        ("object", False, ["later", "Part_1", "part_2", "part_10"]),
-        ("object", True, ["x", "torn", "part_10"]),
-        ("note", False, ["x", "torn"]),
-        ("grasps", True, ["part_2", "part_10", "Part_1", "x"]),
-        ("state", False, ["torn", "later"]),
-        ("share", False, ["x", "later", "torn"]),
-    ],
-)
-def test_objects_are_sorted_by_any_column(key: str, down: bool, first: list[str]) -> None:
-    assert names(select_objects(OBJECTS, sort=key, down=down))[: len(first)] == first
-
-
-def test_an_unknown_key_is_refused_with_those_that_exist() -> None:
-    with pytest.raises(UnknownName, match=r"'grabs'.*cells, errors, evaluations, grasps"):
-        select_objects(OBJECTS, sort="grabs")
 
 
 def test_quantiles_and_the_least_are_of_objects_with_a_finished_run() -> None:

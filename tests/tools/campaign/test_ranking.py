@@ -81,12 +81,6 @@ def test_of_equal_fitness_the_greater_margin_is_better_whatever_the_penetration(
     assert asked == [0, 1, 2]  # the fourth cannot be among the best
 
 
-def test_of_equal_grasps_the_earlier_one_is_better() -> None:
-    found = rows(*[Outcome.HELD] * 4)
-    found["generation"], found["index"] = [1, 1, 0, 0], [1, 0, 3, 2]
-    assert best_of_kinds(found, 4, BODY)[["generation", "index"]].tolist() == [(0, 2), (0, 3), (1, 0), (1, 1)]
-
-
 @given(st.integers(0, 2**32), st.integers(1, 60))
 def test_the_best_of_each_cell_are_taken_whatever_the_order_of_rows(seed: int, most: int) -> None:
     random = np.random.default_rng(seed)
@@ -136,14 +130,6 @@ def test_only_grasps_are_scored_again(tmp_path: Path) -> None:
         Outcome.SHAKEN,
         Outcome.HELD,
     ]
-
-
-def test_grasps_of_a_run_with_trials_go_by_their_sum(tmp_path: Path) -> None:
-    nominal = rows(Outcome.HELD, Outcome.SHAKEN, Outcome.HELD)
-    journal = np.concatenate([nominal, trials_of(nominal[0], 7), trials_of(nominal[1], 190)])
-    found = read_run_grasps(record_spec(tmp_path / "run", spec("robust"), journal))
-    assert found[["index", "fitness"]].tolist() == [(0, 7), (1, 190)]  # the third has no trials yet
-    assert best_of_kinds(found, 1, BODY)["index"] == 1
 
 
 def test_a_ranking_is_by_eta_and_names_the_rows_that_it_came_from(tmp_path: Path) -> None:

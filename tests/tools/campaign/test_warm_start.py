@@ -123,38 +123,10 @@ def model_of(*told: tuple[np.ndarray, np.ndarray]) -> LogisticRegression:
     return model
 
 
-def test_what_objects_differ_in_is_not_laid_to_features() -> None:
-    """On one object all is easier, and its first feature is greater: that says nothing of the feature."""
-    easy, hard = examples(2000, 0, 2.0), examples(2000, 1, -2.0)
-    shifted = easy[0] + [1.0, 0.0, 0.0]
-    easy = (
-        shifted,
-        np.random.default_rng(2).random(2000) < 1 / (1 + np.exp(-(shifted - [1, 0, 0]) @ TRUE - 2)),
-    )
-    both = pooled_weights([model_of(easy), model_of(hard)], np.zeros(3))
-    assert both is not None
-    assert both[:2] == pytest.approx(TRUE[:2], abs=0.35)
-
-
 def test_runs_without_failures_tell_nothing() -> None:
     features, _ = examples(300, 0)
     assert pooled_weights([model_of((features, np.ones(300, bool)))], np.zeros(3)) is None
     assert pooled_weights([model_of()], np.zeros(3)) is None
-
-
-def test_what_misleads_is_unlearned_within_few_tries() -> None:
-    """Weights of the opposite sign rank at first, and after 192 tries as the truth does."""
-    first = FirstWeights(touch=(-6.0, 6.0, *STARTS["touch"][2:]))
-    search = ValueSearch(msgspec.structs.replace(SPEC, first_weights=first), SPACE)
-    random, model = np.random.default_rng(0), search.models["touch"]
-    features = np.append(random.random((192, len(STARTS["touch"]) - 1)), np.ones((192, 1)), axis=1)
-    likely = 1 / (1 + np.exp(6 * (features[:, 1] - features[:, 0])))
-    before = np.corrcoef(model.likely(features), likely)[0, 1]
-    for block in range(3):
-        part = slice(64 * block, 64 * (block + 1))
-        model.learn(features[part], random.random(64) < likely[part])
-    assert before < -0.9
-    assert np.corrcoef(model.likely(features), likely)[0, 1] > 0.8
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,15 @@ import numpy as np
 import pandas
 import yaml
 from scipy.spatial.transform import Rotation
-from tests.tools.export.collision_bodies import Contact
+
+
+class Contact(NamedTuple):
+    """A contact as a file tells it: the hand's link, point and normal (3,), force."""
+
+    link: str
+    point: np.ndarray
+    normal: np.ndarray
+    force: float
 
 
 class Read(NamedTuple):
@@ -306,48 +314,3 @@ CONTACTS = {
 }
 TURNED = {"acronym", "graspgen"}
 """Formats whose hand axes are +z towards the object and x across the jaw."""
-AXES = {"acronym": lambda told: told["axes"], "graspgen": lambda told: told["qdgrasp"]["gripper_axes"]}
-
-
-def root_links(name: str, read: Read) -> np.ndarray:
-    """The settled poses (n, 4, 4) of the root link, whose axes are the file's turned back."""
-    if name not in TURNED:
-        return read.settled
-    numbers = AXES[name](read.beside).rpartition("(x, y, z, w) = (")[2].rstrip(")")
-    turn = Rotation.from_quat([float(number) for number in numbers.split(", ")]).inv()
-    return read.settled @ homogeneous([[0.0, 0.0, 0.0]], [turn.as_quat()])[0]
-
-
-class ClosedHands(NamedTuple):
-    """The hands of a file after closing."""
-
-    poses: np.ndarray
-    """(n, 4, 4): of the root link in the object's frame."""
-    joints: list[dict[str, float]]
-    penetration: np.ndarray
-    contacts: list[list[Contact]]
-    """No contacts where the format has no place for them."""
-
-
-def closed_hands(name: str, read: Read) -> ClosedHands:
-    """The hands after closing, of a file in a format."""
-    names = JOINT_NAMES[name](read.beside)
-    closed, _ = JOINTS[name](read.beside, names)
-    joints = [dict(zip(names, values, strict=True)) for values in closed.tolist()]
-    contacts = CONTACTS[name](read.beside) if name in CONTACTS else [[]] * len(joints)
-    return ClosedHands(root_links(name, read), joints, np.asarray(PENETRATIONS[name](read.beside)), contacts)
-
-
-def column_joints(table: pandas.DataFrame) -> list[str]:
-    return [name.removeprefix("joint.") for name in table.columns if name.startswith("joint.")]
-
-
-JOINT_NAMES = {
-    "isaac": lambda told: list(next(iter(told["grasps"].values()))["cspace_position"]),
-    "acronym": lambda told: told["joint_names"],
-    "graspgen": lambda told: told["qdgrasp"]["joint_names"],
-    "parquet": column_joints,
-    "webdataset": column_joints,
-    "moveit": lambda told: told["grasps"][0]["grasp_posture"]["joint_names"],
-    "csv": column_joints,
-}

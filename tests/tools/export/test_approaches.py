@@ -3,11 +3,9 @@
 import json
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pyarrow.parquet
 import pytest
-import yaml
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 from tests.coordinator.recorded_runs import record
@@ -125,26 +123,6 @@ def test_tables_say_how_hands_come(made: RunFolder, tmp_path: Path) -> None:
     assert standing["height"] == pytest.approx(-0.03 + COM[2])
 
 
-def test_other_formats_say_so_too(made: RunFolder, tmp_path: Path) -> None:
-    isaac = yaml.safe_load(written(made, tmp_path, "isaac").read_text())["qdgrasp"]["grasps"]
-    assert isaac["approach_positions"][ABOVE] == pytest.approx(START, abs=1e-6)
-    assert isaac["approach_directions"][ABOVE] == pytest.approx([0, 0, -1], abs=1e-6)
-    (tmp_path / "out.yaml").unlink()
-    moveit = yaml.safe_load(written(made, tmp_path, "moveit").read_text())
-    assert moveit["grasps"][ABOVE]["pre_grasp_approach"]["desired_distance"] == WAY
-    end = moveit["grasps"][ABOVE]["grasp_pose"]["pose"]["position"]
-    assert [end["x"], end["y"], end["z"] + WAY] == pytest.approx(START, abs=1e-6)
-    assert moveit["qdgrasp"]["grasps"]["resting_poses"] == isaac["resting_poses"]
-    with h5py.File(written(made, tmp_path, "acronym")) as file:
-        assert file["grasps/approach_transforms"][ABOVE, :3, 3] == pytest.approx(START, abs=1e-7)
-        numbers, reached = file["qdgrasp/resting_pose_numbers"][()], file["grasps/resting_poses"][()]
-        assert [numbers[row == 1].tolist() for row in reached] == isaac["resting_poses"]
-    folder = written(made, tmp_path, "graspgen")
-    told = json.loads((folder / "grasp_data" / "block.json").read_text())["qdgrasp"]["grasps"]
-    assert told["resting_poses"] == isaac["resting_poses"]
-    assert np.array(told["approach_transforms"])[ABOVE, :3, 3] == pytest.approx(START, abs=1e-7)
-
-
 def test_a_lift_is_told_as_one(scene: Scene, tmp_path: Path) -> None:
     lifted = replace(scene, protocol="lift", resting_poses=resting_poses(scene.object.collision)[:1])
     rows = random_rows(lifted, [Outcome.HELD] * 2)
@@ -158,12 +136,3 @@ def test_a_lift_is_told_as_one(scene: Scene, tmp_path: Path) -> None:
     said = (tmp_path / "out.csv").read_text()
     assert "# protocol: lift" in said
     assert "# fitness: 1: the hand lifted the object off the table" in said
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_nothing_of_it_is_written_where_it_is_not_asked_for(made, tmp_path, name) -> None:
-    out = tmp_path / f"out{FORMATS[name].suffix}"
-    export_run(made, out, name)
-    files = [out] if out.is_file() else [file for file in out.rglob("*") if file.is_file()]
-    assert not any(b"approach_from" in file.read_bytes() for file in files)
-    assert not any(b"resting" in file.read_bytes() for file in files)

@@ -1,12 +1,9 @@
 """`qdgrasp export`: the grasps that it takes, the files that it writes, and its refusals."""
 
-import csv
-import shutil
 from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from tests.coordinator.recorded_runs import record
 from tests.tools.export.conftest import MakeRun, random_rows
@@ -55,16 +52,6 @@ def test_the_command_writes_a_file_and_says_what_is_begun_and_in_it(run, tmp_pat
     assert said.stdout.endswith(f"written to {out}, poses in the object's mesh frame.\n")
     assert out.is_dir() == (name == "graspgen")
     assert told == [f"reading {run.path}", f"writing {10 if out.is_dir() else 4} evaluations to {out}"]
-
-
-@each_format
-def test_what_is_there_is_replaced_by_force_alone(run: RunFolder, tmp_path: Path, name: str) -> None:
-    out = tmp_path / "out"
-    export_run(run, out, name)
-    assert f"{out} is there already" in refusal(run.path, name, out)
-    assert command(run.path, "--format", name, "-o", out, "--min-fitness", 2, "--force").exit_code == 0
-    assert there(tmp_path) == ["out", "run"]
-    assert np.count_nonzero(READERS[name](out).quality) == 2
 
 
 @each_format
@@ -152,14 +139,6 @@ def test_a_run_in_progress_gives_what_it_has_by_now(run: RunFolder, scene: Scene
     assert len(READERS["parquet"](tmp_path / "one").matrices) == 4
 
 
-def test_a_run_of_a_campaign_gives_its_grasps_like_any_other(run: RunFolder, tmp_path: Path) -> None:
-    job = JobFolder.create(tmp_path / "job", "job")
-    one = shutil.copytree(run.path, job.run_path("jaw-block-s0"))
-    (one / "job.json").unlink()
-    assert command(one, "--format", "parquet", "-o", tmp_path / "out").exit_code == 0
-    assert set(READERS["parquet"](tmp_path / "out").beside["run"]) == {"jaw-block-s0"}
-
-
 def trials_of(rows: Rows, totals: list[int]) -> Rows:
     """The trials of successes, whose fitness sums up to these totals."""
     repeated = np.repeat(rows, TRIALS)
@@ -204,19 +183,3 @@ def test_only_what_holds_in_the_other_engine_is_written_and_what_is_not_known_is
     refused = refusal(run.path, "csv", tmp_path / "none.csv", "--holds-in", "mujoco")
     assert "has no such grasp" in refused
     assert "Unknown engine 'mujoca'" in refusal(run.path, "csv", tmp_path / "a", "--holds-in", "mujoca")
-
-
-@pytest.mark.parametrize("name", ["csv", "parquet"])
-def test_a_table_has_the_verdict_of_the_other_engine(make_run, tmp_path, name):
-    run = make_run(*[Outcome.HELD] * 3)
-    judge(run, Outcome.HELD, Outcome.OVERLAP)
-    export_run(run, tmp_path / "out", name)
-    if name == "csv":
-        lines = (tmp_path / "out").read_text().splitlines()
-        found = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-        values = [(each["mujoco_outcome"], each["mujoco_fitness"]) for each in found]
-        assert values == [("held", "2.0"), ("overlap", "0.0"), ("", "")]
-    else:
-        found = pq.read_table(tmp_path / "out")
-        assert found["mujoco_outcome"].to_pylist() == ["held", "overlap", None]
-        assert found["mujoco_fitness"].to_pylist() == [2, 0, None]

@@ -13,11 +13,9 @@ import yaml
 from scipy.spatial.transform import Rotation
 from tests.coordinator.recorded_runs import record
 from tests.tools.export.conftest import COM, random_rows
-from tests.tools.export.foreign_files import imported_file
 from tests.tools.export.independent_readers import (
     CONTACTS,
     JOINTS,
-    MOTION,
     PENETRATIONS,
     READERS,
     TURNED,
@@ -29,12 +27,10 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import from_toml
-from qdgrasp_tools.export import importer
 from qdgrasp_tools.export.exporter import FORMATS, export_run
 from qdgrasp_tools.export.grasp_reader import NOT_SETTLED, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import GraspMetadata
-from qdgrasp_tools.export.importer import ObjectFrame
 
 ACROSS = Rotation.from_euler("z", 90, degrees=True)
 """The jaw's own axes open along y; turned by this first, they open along x."""
@@ -144,18 +140,6 @@ def test_no_file_says_in_which_folders_its_author_has_files(make_run, tmp_path, 
 
 
 @each_format
-def test_no_file_has_the_poses_that_its_run_was_given(scene: Scene, tmp_path: Path, name: str) -> None:
-    secret = (0.1234567, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    rows = random_rows(scene, [Outcome.HELD], prior="given")
-    run = record(tmp_path / "run", scene, rows, method="given", poses=(secret,), evaluations=1)
-    export_run(run, tmp_path / "out", name)
-    assert not any(b"0.1234567" in file.read_bytes() for file in files(tmp_path / "out"))
-    if name != "csv":
-        (spec,) = (from_toml(each["spec"]) for each in words_of(tmp_path / "out", name)["runs"])
-        assert spec == msgspec.structs.replace(run.spec, poses=None)
-
-
-@each_format
 def test_the_same_run_gives_the_same_bytes(run: RunFolder, tmp_path: Path, name: str) -> None:
     for out in ("one", "two"):
         export_run(run, tmp_path / out, name)
@@ -201,16 +185,6 @@ def test_a_run_without_settled_poses_says_so_and_leaves_them_out(make_run, scene
         assert not any(CONTACTS[name](read.beside))
 
 
-def test_the_motion_of_the_object_while_closing_is_told_in_each_table(run, grasps, tmp_path: Path) -> None:
-    for name in ("acronym", "parquet"):
-        export_run(run, tmp_path / name, name, negatives=0)
-    way, angle = (READERS["acronym"](tmp_path / "acronym").beside[kind] for kind in MOTION)
-    table = READERS["parquet"](tmp_path / "parquet").beside
-    np.testing.assert_allclose(table.motion_mm, 1000 * way)
-    np.testing.assert_allclose(table.motion_deg, np.degrees(angle))
-    np.testing.assert_allclose(way, centre_ways(READERS["isaac"](isaac_of(run, tmp_path))), atol=1e-7)
-
-
 def isaac_of(run: RunFolder, tmp_path: Path) -> Path:
     export_run(run, tmp_path / "isaac", "isaac", frame="com")
     return tmp_path / "isaac"
@@ -228,27 +202,6 @@ def test_joints_have_names(run: RunFolder, grasps: Grasps, tmp_path: Path, name:
     closed, start = JOINTS[name](READERS[name](tmp_path / "out").beside, ["right", "left"])
     np.testing.assert_allclose(closed, grasps.joints[:, ::-1], rtol=1e-7)
     np.testing.assert_allclose(start, np.full((len(grasps), 2), 0.04), rtol=1e-7)
-
-
-def test_an_acronym_file_says_what_the_object_weighs(run: RunFolder, scene: Scene, tmp_path: Path) -> None:
-    export_run(run, tmp_path / "out", "acronym")
-    told = READERS["acronym"](tmp_path / "out").beside
-    assert (told["type"], told["file"], told["mass"], told["friction"]) == ("jaw", "block.stl", 0.1, 0.5)
-    np.testing.assert_allclose(told["com"], COM)
-    box = trimesh.creation.box((0.04, 0.05, 0.06))
-    assert told["volume"] == pytest.approx(box.volume)
-    np.testing.assert_allclose(told["inertia"], box.moment_inertia * 0.1 / box.volume, rtol=1e-6, atol=1e-15)
-
-
-@pytest.mark.parametrize("name", sorted(TURNED))
-def test_a_mesh_in_millimetres_is_scaled_by_what_the_file_says(make_run, tmp_path: Path, name: str) -> None:
-    run, out = make_run(Outcome.HELD, scale=0.001), tmp_path / "out"
-    export_run(run, out, name)
-    if name == "acronym":
-        assert READERS[name](out).beside["scale"] == 0.001
-    assert words_of(out, name)["object_scale"] == 0.001
-    thing = ObjectFrame(np.array(COM), 0.001)
-    assert importer.import_poses(imported_file(out), run.scene().gripper, thing).notes == ()
 
 
 def test_graspgen_has_failures_and_the_mesh_that_its_poses_are_told_of(run, tmp_path) -> None:

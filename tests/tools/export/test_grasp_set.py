@@ -90,13 +90,6 @@ def test_a_known_eta_goes_before_fitness(grasps: Grasps) -> None:
     assert chosen.fitness[2] == 2
 
 
-def test_spread_grasps_are_farther_apart_than_the_best_ones(grasps: Grasps) -> None:
-    diverse, best = select_grasps(grasps, diverse=12), select_grasps(grasps, top=12)
-    assert len(diverse) == len(set(diverse.numbers.tolist())) == 12
-    assert diverse.numbers[0] == best.numbers[0]
-    assert nearest(diverse) > 1.5 * nearest(best)
-
-
 def test_each_spread_grasp_is_the_farthest_from_those_before_it(grasps: Grasps) -> None:
     some = select_grasps(grasps)[:30]
     apart = distances(some)
@@ -104,15 +97,6 @@ def test_each_spread_grasp_is_the_farthest_from_those_before_it(grasps: Grasps) 
     for count in range(1, 8):
         reach = apart[:, chosen[:count]].min(axis=1)
         assert reach[chosen[count]] == pytest.approx(reach.max())
-
-
-def test_the_first_of_many_spread_grasps_are_the_few(grasps: Grasps) -> None:
-    assert spread_places(grasps, 20)[:5].tolist() == spread_places(grasps, 5).tolist()
-
-
-def test_more_than_there_are_is_all_of_them(grasps: Grasps) -> None:
-    assert sorted(spread_places(grasps[:7], 100).tolist()) == list(range(7))
-    assert len(select_grasps(grasps, 2, top=1000)) == 40
 
 
 def test_of_the_best_the_spread_ones_are_taken(grasps: Grasps) -> None:

@@ -22,7 +22,6 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.export import importer
 from qdgrasp_tools.export.exporter import export_run
-from qdgrasp_tools.export.grasp_table import UnreadableGrasps
 from qdgrasp_tools.export.importer import ImportedPoses, ObjectFrame
 
 
@@ -147,16 +146,6 @@ def test_an_object_of_another_size_is_another_one_and_a_changed_mesh_is_not(run,
     assert imported(0.01, 0.01).mismatches == ()
     assert "m large, and the one named here" in imported(0, 0.05).mismatches[0]
     assert "centre of mass elsewhere" in imported(0.05, 0).mismatches[0]
-
-
-@pytest.mark.parametrize("name", ["parquet", "isaac", "acronym", "graspgen"])
-def test_a_frame_other_than_that_of_the_file_is_refused_and_its_own_changes_nothing(run, tmp_path, name):
-    export_run(run, tmp_path / "f", name)
-    file, hand, thing = imported_file(tmp_path / "f"), run.scene().gripper, ObjectFrame(COM, 1.0)
-    plain, named = (importer.import_poses(file, hand, thing, frame) for frame in (None, "mesh"))
-    np.testing.assert_array_equal(named.arrays["base_position"], plain.arrays["base_position"])
-    with pytest.raises(UnreadableGrasps, match="poses are in the object's mesh frame; leave --frame out"):
-        importer.import_poses(file, hand, thing, "com")
 
 
 @pytest.mark.parametrize("name", ["acronym", "parquet", "isaac", "graspgen"])
