@@ -159,7 +159,7 @@ class Run:
     def blocks(self) -> Iterator[Rows]:
         """Yield the same rows some thousands at a time, for runs that do not fit into memory."""
         with self._folder.journal() as journal:
-            yield from journal.kept()
+            yield from journal.blocks()
 
     def _repr_html_(self) -> str:
         from qdgrasp_tools.rendering import html_cards, views  # what draws takes its time to load

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from difflib import unified_diff
-from functools import partial
 from pathlib import Path
 
 from tests.golden import formats, interfaces, runs, wire
@@ -19,8 +18,6 @@ MAKERS: dict[str, Callable[[], str]] = {
     "versions.txt": formats.version_text,
     "names.txt": interfaces.name_text,
     "exit_codes.txt": interfaces.exit_code_text,
-    "exported.csv": partial(runs.exported, "csv"),
-    "exported.yaml": partial(runs.exported, "isaac"),
     DIGESTS: runs.digest_text,
 }
 

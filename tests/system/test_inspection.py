@@ -21,7 +21,7 @@ Reference = tuple[Path, str, dict]
 
 def rows_of(run: Path) -> Rows:
     with RunFolder.open(run).journal() as journal:
-        return np.concatenate(list(journal.kept()))
+        return np.concatenate(list(journal.blocks()))
 
 
 def first(rows: Rows, outcome: Outcome) -> int:

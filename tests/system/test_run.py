@@ -85,7 +85,7 @@ def test_a_run_in_two_engines_is_the_same_whatever_the_workers_and_holds_in_both
     folder = RunFolder.open(qdgrasp.home / "one")
     with folder.journal() as journal:
         assert {"mujoco", "mujoco_code", "pybullet", "code"} <= journal.platform.keys()
-        rows = np.concatenate(list(journal.kept()))
+        rows = np.concatenate(list(journal.blocks()))
     rows, held = rows[rows["outcome"] >= Outcome.DROPPED], {}
     for name in ("bullet", "mujoco"):
         scene = msgspec.structs.replace(folder.scene(), engine=None if name == "bullet" else name)

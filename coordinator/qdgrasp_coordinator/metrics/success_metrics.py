@@ -111,13 +111,6 @@ class SuccessHistory:
         success = success_mask(rows)
         return cls(rows[success], evaluations[success])
 
-    @classmethod
-    def placed(cls, rows: Rows, population: int) -> Self:
-        """The successes among kept rows, if every genome counts; `population` in a generation."""
-        found = successes(rows)
-        generation, index = (found[name].astype(np.int64) for name in ("generation", "index"))
-        return cls(found, generation * population + index + 1)
-
     @property
     def nu(self) -> NDArray[np.float64]:
         """(m,) [rad], 0 to pi: of those that aim at a surface point."""

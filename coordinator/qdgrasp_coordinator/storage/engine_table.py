@@ -91,13 +91,6 @@ def to_csv(table: EngineTable) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def renumber(table: EngineTable, kept: NDArray[np.int64]) -> EngineTable:
-    """Return the table of a journal that keeps the rows of these numbers (n,), ascending, alone."""
-    found = table[np.isin(table["row"], kept)]
-    found["row"] = np.searchsorted(kept, found["row"])
-    return found
-
-
 def read_table(path: Path) -> EngineTable:
     """Read a table; raises InputError for another file.
 

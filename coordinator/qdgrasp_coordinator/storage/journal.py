@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import msgspec
 import numpy as np
@@ -20,13 +20,7 @@ from qdgrasp_coordinator.storage.atomic_files import damaged_file
 from qdgrasp_coordinator.storage.journal_schema import (
     APPLICATION,
     FORMAT,
-    LARGEST_VALUE,
-    OLD_FORMAT,
-    OLD_REDUCED,
-    REDUCED,
     JournalIdentity,
-    JournalSource,
-    check_tables,
     create_tables,
     explaining_read_errors,
 )
@@ -34,11 +28,9 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.messages import Failure, Width
-from qdgrasp_protocol.rows import Rows, RowShape, impossible_rows
+from qdgrasp_protocol.rows import Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, from_toml
 from qdgrasp_protocol.text import printable
-
-Kind = TypeVar("Kind", bound=msgspec.Struct)
 
 
 class JournalMeta(msgspec.Struct):
@@ -70,13 +62,10 @@ class Journal:
     def __init__(self, database: sqlite3.Connection, file: Path) -> None:
         self._database = database
         self._file = file
-        self._format = self._known_format()
-        with explaining_read_errors(file):
-            check_tables(database, file)
+        self._check_format()
         try:
             meta = msgspec.convert(self._meta(), JournalMeta, strict=False)
             shape = msgspec.json.decode(meta.shape, type=MetaShape)
-            sources = self._sources()
         except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
             raise damaged_file(file, printable(f"what it says of itself cannot be read ({error})")) from None
         self.run = meta.run
@@ -87,8 +76,6 @@ class Journal:
         """The version of this package that began it."""
         self.created = meta.created
         """When it was begun [s since 1970]."""
-        self.sources = sources
-        """The runs that it was reduced from; none where it holds every row of its own run."""
         self._check_end()
 
     @classmethod
@@ -177,58 +164,31 @@ class Journal:
 
     def slice(self, first: int, limit: int) -> JournalSlice:
         """Return at most `limit` rows from number `first` on, with their cost and failures."""
-        self.check_whole()
         stop = min(first + limit, self.count)
         if first >= stop:
             return JournalSlice(first, self.shape.empty(0))
         return join_slices([block.part(first, stop) for block in self._slices(first, stop)])
 
-    def blocks(self) -> Iterator[Rows]:
-        """All rows in order, some thousands at a time."""
-        for part in self.slices():
-            yield part.rows
-
-    def slices(self) -> Iterator[JournalSlice]:
-        """Yield all rows in order, some thousands at a time, with their cost and failures."""
-        self.check_whole()
-        return self._slices(0, self.count)
-
-    def kept(self, first: int = 0, stop: int | None = None) -> Iterator[Rows]:
-        """The rows that are here from number `first` up to `stop`, some thousands at a time.
-
-        All rows; where the journal is reduced, the successes with their trials, source by source.
-        """
+    def blocks(self, first: int = 0, stop: int | None = None) -> Iterator[Rows]:
+        """The rows from number `first` up to `stop` in order, some thousands at a time."""
         end = self.count if stop is None else stop
         for block in self._slices(first, end):
             yield block.part(first, end).rows
 
+    def slices(self) -> Iterator[JournalSlice]:
+        """Yield all rows in order, some thousands at a time, with their cost and failures."""
+        return self._slices(0, self.count)
+
+    kept = blocks
+
     def successes(self) -> Rows:
         """Return every nominal success, in order, all columns; fitness 0 included (the archive A_o)."""
-        found = [successes(rows) for rows in self.kept()]
+        found = [successes(rows) for rows in self.blocks()]
         return np.concatenate([self.shape.empty(0), *found])
 
     def errors(self) -> dict[int, str]:
         """Return the reasons of rows with `Outcome.ERROR`, by row number."""
         return {int(row): str(reason) for row, reason in self._all("SELECT row, reason FROM errors")}
-
-    def summary(self, kind: type[Kind]) -> Kind:
-        """Return the summary of all rows of its sources; only a journal with sources has one."""
-        try:
-            return msgspec.json.decode(self._meta().get("summary", ""), type=kind)
-        except (msgspec.MsgspecError, RecursionError) as error:
-            raise damaged_file(self._file, printable(f"its summary cannot be read ({error})")) from None
-
-    def check_whole(self) -> None:
-        """Raise `FolderError` if the journal keeps successes alone, not every row."""
-        if not self.sources:
-            return
-        whose = f"{len(self.sources)} runs"
-        if len(self.sources) == 1:
-            whose = f"run '{self.sources[0].run}', whose digest was {self.sources[0].digest}"
-        raise FolderError(
-            f"{self._file.parent} keeps the successes alone of {whose}; "
-            "a digest, curves, and going on with it need every row."
-        )
 
     def close(self) -> None:
         """Close the file."""
@@ -254,8 +214,6 @@ class Journal:
                 rows = self._block(blob, n) if follows and zlib.crc32(blob) == crc else None
                 if rows is None:
                     raise self._altered_rows(number, n)
-                for place, reason in impossible_rows(rows).items():
-                    raise damaged_file(self._file, f"of row {number + place}, {reason}")
                 here = (Failure(row=row - number, reason=reason) for row, reason in failures if row >= number)
                 yield JournalSlice(number, rows, cpu_seconds, tuple(f for f in here if f.row < n))
                 expected = number + n
@@ -265,10 +223,9 @@ class Journal:
     def _check_end(self) -> None:
         """Check that the last block has as many rows as it says: their number follows from it."""
         for first, n, blob in self._all("SELECT first, n, rows FROM blocks ORDER BY first DESC LIMIT 1"):
-            kept = sum(source.kept for source in self.sources) if self.sources else first + n
             with explaining_read_errors(self._file):
                 rows = self._block(blob, n)
-            if rows is None or first < 0 or first + n != kept:
+            if rows is None or first < 0:
                 raise self._altered_rows(first, n)
 
     def _altered_rows(self, first: int, n: int) -> FolderError:
@@ -277,18 +234,14 @@ class Journal:
     def _block(self, blob: bytes, n: int) -> Rows | None:
         """The n rows in a block's blob; None: it holds other bytes than n rows have."""
         size = self.shape.dtype.itemsize
-        if not 0 < n * size <= LARGEST_VALUE:
+        try:
+            columns = zlib.decompress(blob)
+        except zlib.error:
             return None
-        if self._format in (FORMAT, REDUCED):
-            inflater = zlib.decompressobj()
-            try:
-                blob = inflater.decompress(blob, n * size + 1)
-            except zlib.error:
-                return None
-            if not inflater.eof or len(blob) != n * size:
-                return None
-            blob = np.frombuffer(blob, dtype=np.uint8).reshape(size, -1).T.tobytes()
-        return np.frombuffer(blob, dtype=self.shape.dtype) if len(blob) == n * size else None
+        if len(columns) != n * size:
+            return None
+        rows = np.frombuffer(columns, dtype=np.uint8).reshape(size, -1).T.tobytes()
+        return np.frombuffer(rows, dtype=self.shape.dtype)
 
     @contextmanager
     def _reading(self, query: str, *values: object) -> Iterator[sqlite3.Cursor]:
@@ -303,24 +256,17 @@ class Journal:
     def _meta(self) -> dict[str, str]:
         return {str(name): str(value) for name, value in self._all("SELECT name, value FROM meta")}
 
-    def _sources(self) -> tuple[JournalSource, ...]:
-        if self._format not in (REDUCED, OLD_REDUCED):
-            return ()
-        found = self._all("SELECT source FROM sources ORDER BY number")
-        return tuple(msgspec.json.decode(text, type=JournalSource) for (text,) in found)
-
-    def _known_format(self) -> int:
+    def _check_format(self) -> None:
         (application,), (number,) = (
             self._all(f"PRAGMA {name}")[0] for name in ("application_id", "user_version")
         )
         if application != APPLICATION:
             raise FolderError(f"{self._file} is not a journal of qdgrasp.")
-        if number not in (known := (OLD_FORMAT, OLD_REDUCED, FORMAT, REDUCED)):
+        if number != FORMAT:
             raise FolderError(
-                f"{self._file} is of format {number}, this version of qdgrasp reads the formats "
-                f"{', '.join(map(str, known))}; use the version that wrote it."
+                f"{self._file} is of format {number}, and this version of qdgrasp reads format {FORMAT}; use "
+                "the version that wrote it."
             )
-        return int(number)
 
     def _all(self, query: str, *values: object) -> list[tuple[Any, ...]]:
         with explaining_read_errors(self._file):

@@ -1,62 +1,20 @@
-"""Tables, version and identity of a journal in `run.sqlite`; sources of a reduced one."""
+"""Tables, version and identity of a journal in `run.sqlite`."""
 
 import json
-import re
 import sqlite3
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
-
-from msgspec import Meta, Struct
 
 from qdgrasp_coordinator.storage.atomic_files import damaged_file
 from qdgrasp_protocol.errors import DiskFull, FolderError
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import RunSpec, from_toml
-from qdgrasp_protocol.text import counted, printable
-
-
-class JournalSource(Struct, frozen=True, kw_only=True):
-    """A run of which a journal keeps the successes."""
-
-    run: str
-    """The name of the folder it lay in."""
-    spec: str
-    """Its full spec as TOML."""
-    scene: str
-    """sha256 of the scene bundle."""
-    digest: str
-    """The sha256 over all of its rows, before any was left out."""
-    package: str
-    """The version of this package that began it."""
-    platform: dict[str, str]
-    """Platform that its rows were made on."""
-    summary: dict[str, Any]
-    """Its figures, as `info --json` prints them."""
-    kept: Annotated[int, Meta(ge=0)]
-    """Number of its rows that are kept."""
-
-    @property
-    def asked(self) -> RunSpec:
-        """Its spec."""
-        return from_toml(self.spec, self.run)
-
-    @property
-    def words(self) -> str:
-        """One line for a person."""
-        done = counted(self.summary["evaluations"], "evaluation")
-        return f"{self.run}: {self.asked.method}, seed {self.asked.seed}, {done}, {self.digest[:12]}"
-
 
 APPLICATION = 0x71646772  # "qdgr"
-FORMAT = 3
-REDUCED = 4  # The format of a journal that keeps successes alone (`reduced_journal`)
-OLD_FORMAT, OLD_REDUCED = 1, 2  # The same of version 0.1.0, with blocks of rows as they are
+FORMAT = 1
 UNREADABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_NOMEM}
 NO_ROOM = {
     sqlite3.SQLITE_FULL,
@@ -93,9 +51,6 @@ CREATE INDEX successes_by_cell ON successes (cell_x, cell_y, cell_z, fitness);
 CREATE INDEX successes_by_fitness ON successes (fitness);
 CREATE TABLE errors (row INTEGER PRIMARY KEY, reason TEXT NOT NULL) STRICT;
 """
-SOURCES = "CREATE TABLE sources (number INTEGER PRIMARY KEY, source TEXT NOT NULL) STRICT"
-"""The table that a reduced journal has besides."""
-LARGEST_VALUE = 1 << 27  # Bytes of a value in a file that is read, deflated or not
 
 
 @dataclass(frozen=True)
@@ -125,40 +80,6 @@ def create_tables(database: sqlite3.Connection, identity: JournalIdentity) -> No
     )
     database.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
     database.execute("COMMIT")  # at once: each transaction is a wait for the disk
-
-
-def check_tables(database: sqlite3.Connection, file: Path) -> None:
-    """Raise `FolderError` unless a file has the tables of a journal and nothing else.
-
-    A view in the place of a table, a generated column or a trigger would have readers and writers carry out
-    what another one wrote there.
-    """
-    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
-    database.execute("PRAGMA trusted_schema = OFF")
-    found = _schema(database, limit=len(_known_schema()) + 1)
-    strange = found.items() - _known_schema().items()
-    missing = _known_schema().keys() - found.keys() - {("table", "sources")}
-    for kind, name in sorted(key for key, _ in strange):
-        raise damaged_file(file, f"its {printable(kind, 20)} '{printable(name, 40)}' is none of a journal")
-    for kind, name in sorted(missing):
-        raise damaged_file(file, f"it has no {kind} '{name}'")
-
-
-@cache
-def _known_schema() -> dict[tuple[str, str], str]:
-    with closing(sqlite3.connect(":memory:")) as database:
-        database.executescript(f"{SCHEMA};{SOURCES}")
-        return _schema(database)
-
-
-def _schema(database: sqlite3.Connection, limit: int = 100) -> dict[tuple[str, str], str]:
-    """Return the statements that made a database, by kind and name, without comments."""
-    found = database.execute("SELECT type, name, sql FROM sqlite_schema LIMIT ?", (limit,)).fetchall()
-    return {
-        (str(kind), str(name)): " ".join(re.sub(r"--.*", "", str(statement)).split())
-        for kind, name, statement in found
-        if not str(name).startswith("sqlite_stat")  # of ANALYZE
-    }
 
 
 @contextmanager

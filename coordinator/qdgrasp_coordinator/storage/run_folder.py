@@ -7,7 +7,7 @@
 Beside them are the files of its job (`job_folder`), unless it is one of a campaign's.
 
 The digest of a journal is equal for two runs of one spec, however they were carried out
-(docs/reproducibility.md); the provenance of a row is the run that it comes from: a merged one has several.
+(docs/reproducibility.md).
 """
 
 import hashlib
@@ -73,7 +73,7 @@ def run_digest(spec: RunSpec, journal: Journal, rows: range) -> str:
     Searches of a program's own are told apart by their first success, which the spec does not say.
     """
     digest = search_digest(spec, journal.scene)
-    for block in journal.kept(rows.start, rows.stop) if spec.has_own_search else ():
+    for block in journal.blocks(rows.start, rows.stop) if spec.has_own_search else ():
         if len(first := successes(block)[:1]):
             found = (first[name].tobytes() for name in ("generation", "index", "base_to_object"))
             return hashlib.sha256(b"".join((digest.encode(), *found))).hexdigest()[: len(digest)]
@@ -277,7 +277,7 @@ class Provenance:
     """A run, and the numbers of its rows in a journal."""
 
     run: str
-    """The name of the folder that it lay in when its rows were taken."""
+    """The name of its folder."""
     spec: RunSpec
     platform: dict[str, str]
     """Platform that its rows were made on; empty where that is not known."""
@@ -285,23 +285,9 @@ class Provenance:
     """The version of this package that began it."""
     rows: range
     """Their numbers in the journal."""
-    is_reduced: bool = False
-    """Whether the journal keeps its successes alone."""
 
 
-def provenances(folder: RunFolder, journal: Journal) -> list[Provenance]:
-    """The runs that the rows of a folder's journal come from, in the order of the rows."""
-    if not journal.sources:
-        name, rows = folder.path.absolute().name, range(journal.count)
-        return [Provenance(name, folder.spec, journal.platform, journal.package, rows)]
-    found, first = [], 0
-    for one in journal.sources:
-        rows = range(first, first + one.kept)
-        found.append(Provenance(one.run, one.asked, one.platform, one.package, rows, is_reduced=True))
-        first = rows.stop
-    return found
-
-
-def provenance(folder: RunFolder, journal: Journal, number: int) -> Provenance:
-    """The run that a row comes from; the journal has a row of this number."""
-    return next(one for one in provenances(folder, journal) if number in one.rows)
+def provenance(folder: RunFolder, journal: Journal) -> Provenance:
+    """Return where the rows of a folder's journal come from."""
+    name, rows = folder.path.absolute().name, range(journal.count)
+    return Provenance(name, folder.spec, journal.platform, journal.package, rows)

@@ -1,6 +1,5 @@
 """Successes of a journal page by page, for monitors that draw them as the run goes on."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
@@ -15,7 +14,7 @@ from qdgrasp_coordinator.metrics.scores import known_scores
 from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_protocol.messages import SuccessPage, deflated
-from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, RESULT, Layout, RowColumn, Rows, RowShape, pack, unpack
+from qdgrasp_protocol.rows import GIVEN, RESULT, Layout, RowColumn, Rows, RowShape, pack, unpack
 
 NO_ETA = -1.0  # Placeholder for an eta that is not known
 
@@ -58,34 +57,8 @@ class RowContext:
 
     plan: TrialPlan = NO_TRIALS
     """Numbers of trials of a success."""
-    parts: tuple[tuple[int, SynergyReader, PostureReader], ...] = ((0, UNKNOWN_SYNERGIES, UNKNOWN_POSTURES),)
-    """Readers of synergies and postures, with the number behind the last row that they hold for.
-
-    The last one holds for all rows behind that too.
-    """
-
-    def synergies(self, rows: Rows, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the labels (n,) of rows by journal number (n,), or `NO_SYNERGY`."""
-        labels = np.full(len(rows), NO_SYNERGY)
-        for here, reader, _ in self._of_parts(numbers):
-            labels[here] = reader.labels(rows["genome"][here])
-        return labels
-
-    def pregrasps(self, rows: Rows, numbers: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Return the joints (n, j) that hands start from, of rows by journal number (n,) [rad or m]."""
-        starts = np.zeros_like(rows["joints"])
-        for here, _, reader in self._of_parts(numbers):
-            starts[here] = reader.postures(rows[here])
-        return starts
-
-    def _of_parts(
-        self, numbers: NDArray[np.int64]
-    ) -> Iterator[tuple[NDArray[np.bool_], SynergyReader, PostureReader]]:
-        """Yield flags (n,) of the rows that readers hold for, with these."""
-        ends = [end for end, *_ in self.parts]
-        part_of = np.minimum(np.searchsorted(ends, numbers, side="right"), len(ends) - 1)
-        for part in np.unique(part_of).tolist():
-            yield (part_of == part, *self.parts[part][1:])
+    synergies: SynergyReader = UNKNOWN_SYNERGIES
+    postures: PostureReader = UNKNOWN_POSTURES
 
     def etas(self, rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return eta and trials of each nominal success in consecutive rows (n,).
@@ -201,8 +174,8 @@ def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT)
         successes,
         journal.shape,
         number=numbers,
-        synergy=context.synergies(successes, numbers),
-        pregrasp=context.pregrasps(successes, numbers),
+        synergy=context.synergies.labels(successes["genome"]),
+        pregrasp=context.postures.postures(successes),
         eta=etas,
         trials=trials,
     )
@@ -221,7 +194,7 @@ def _scanned_rows(journal: Journal, first: int, context: RowContext) -> tuple[Ro
     count, span = journal.count, ROWS_SCANNED
     while True:
         stop = min(count, first + span)
-        kept = journal.kept(first, stop) if first < stop else ()
+        kept = journal.blocks(first, stop) if first < stop else ()
         rows = np.concatenate([journal.shape.empty(0), *kept])
         is_last = stop >= count
         if is_last or context.has_all_trials(rows)[:1].all():

@@ -75,7 +75,7 @@ class CountedRun:
             return 0
         first, last = self.rows, min(journal.count, self.rows + most)
         if first < last:
-            for block in journal.kept(first, last):
+            for block in journal.blocks(first, last):
                 self.counter.count_block(block, self.spec)
         self.rows = last
         if self.rows == journal.count:

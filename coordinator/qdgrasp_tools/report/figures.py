@@ -398,7 +398,7 @@ def median_run(group: RunGroup) -> RunHistory:
 def _voxels_of_run(name: SceneName, run: RunHistory) -> RunVoxels:
     folder, plan = RunFolder(run.path), TrialPlan.of(run.spec)
     with folder.journal() as journal:
-        found = np.concatenate([journal.shape.empty(0), *scored_successes(journal.kept(), plan)])
+        found = np.concatenate([journal.shape.empty(0), *scored_successes(journal.blocks(), plan)])
     best = best_in_cells(found)
     etas = plan.eta(best["fitness"]) if plan.stages else None
     return RunVoxels(name, run, folder.scene(), best, etas)

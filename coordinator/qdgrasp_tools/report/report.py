@@ -32,7 +32,6 @@ from qdgrasp_tools.report.run_groups import (
     read_histories,
     search_run_folders,
 )
-from qdgrasp_tools.report.run_history import has_curves
 from qdgrasp_tools.report.setting_sweeps import SettingSweep, draw_sweeps, setting_sweeps
 from qdgrasp_tools.report.tables import (
     CAPTIONS,
@@ -105,12 +104,7 @@ def write_report(
     """
     folder = SharedFolder(out, is_kind=is_ours, mark=PAGE_FILE)
     folder.check()
-    there = search_run_folders(path)
-    folders = [folder for folder in there if has_curves(folder)]
-    if not folders:
-        raise FolderError(f"Of every run in {path} only the successes were kept; curves need every row.")
-    without_curves = [folder.path.absolute().name for folder in there if folder not in folders]
-    runs, copies = distinct_searches(read_histories(folders, ReferenceLookup(references)))
+    runs, copies = distinct_searches(read_histories(search_run_folders(path), ReferenceLookup(references)))
     arms, repeats = group_runs(runs), [run.path.absolute().name for run in copies]
     begun = [group for group in arms if any(run.evaluations for run in group.runs)]
     if not begun:
@@ -130,12 +124,12 @@ def write_report(
         tables = {"runs": run_rows(arms), "methods": method_rows(arms), "claims": claim_rows(claims)}
         for name, rows in tables.items():
             (made / f"{name}.csv").write_text(csv_text(rows), encoding="utf-8")
-        page = markdown_page(path.absolute().name, arms, claims, figures, sweeps, (without_curves, repeats))
+        page = markdown_page(path.absolute().name, arms, claims, figures, sweeps, ((), repeats))
         (made / PAGE_FILE).write_text(page, encoding="utf-8")
     for name in earlier:  # figures of an earlier analysis that were left out of this one
         for suffix in SUFFIXES if figures.get(name, "no more") else ():
             (out / name).with_suffix(suffix).unlink(missing_ok=True)
-    return CampaignReport(out, arms, claims, figures, without_curves, repeats)
+    return CampaignReport(out, arms, claims, figures, [], repeats)
 
 
 def _draw(

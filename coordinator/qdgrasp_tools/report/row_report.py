@@ -5,7 +5,6 @@ The context says which synergy a genome chose and how many trials a success has.
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from itertools import accumulate
 from math import degrees
 from pathlib import Path
 
@@ -29,11 +28,10 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
 from qdgrasp_coordinator.storage.success_pages import UNKNOWN_POSTURES, PostureReader, RowContext
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import CONTACT_VALUES, GIVEN, Outcome
-from qdgrasp_protocol.spec import RunSpec
 
 MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
-ContextKey = tuple[Path, float, str, int]
-"""Folder of a run; of its journal: time of creation, scene, and number of source runs."""
+ContextKey = tuple[Path, float, str]
+"""Folder of a run; of its journal: time of creation, and scene."""
 
 
 class RowContextCache:
@@ -44,7 +42,7 @@ class RowContextCache:
 
     def get(self, folder: RunFolder, journal: Journal) -> RowContext:
         """Return that of a run's journal; FolderError if its scene cannot be read."""
-        name = (folder.path, journal.created, journal.scene, len(journal.sources))
+        name = (folder.path, journal.created, journal.scene)
         if name in self._known:
             return self._known[name]
         if len(self._known) >= MOST_CONTEXTS:
@@ -57,21 +55,9 @@ class RowContextCache:
 
 def row_context(folder: RunFolder, journal: Journal) -> RowContext:
     """Make the context of a run's journal; without its scene it names no synergies."""
-    sources = journal.sources
-    if not sources:
-        prior, known = prior_of(folder.spec), folder.has_bundle()
-        reader = PostureReader.of(folder.scene(), prior) if known else UNKNOWN_POSTURES
-        return _context(folder.spec, ((0, synergy_reader(folder), reader),))
-    scene, asked = folder.scene(), [source.asked for source in sources]
-    ends = accumulate(source.kept for source in sources)
-    priors = [prior_of(spec) for spec in asked]
-    named = (synergies(scene, prior) for prior in priors)
-    postures = (PostureReader.of(scene, prior) for prior in priors)
-    return _context(folder.spec, tuple(zip(ends, named, postures, strict=True)))
-
-
-def _context(spec: RunSpec, parts: tuple[tuple[int, SynergyReader, PostureReader], ...]) -> RowContext:
-    return RowContext(TrialPlan.of(spec), parts)
+    spec, known = folder.spec, folder.has_bundle()
+    postures = PostureReader.of(folder.scene(), prior_of(spec)) if known else UNKNOWN_POSTURES
+    return RowContext(TrialPlan.of(spec), synergy_reader(folder), postures)
 
 
 ROWS_READ_AT_ONCE = 1 << 16
@@ -272,7 +258,7 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
     """
     with folder.journal() as journal:
         row = row_at(folder, journal, number)
-        found_by = provenance(folder, journal, number)
+        found_by = provenance(folder, journal)
         spec, behind = found_by.spec, range(number + 1, found_by.rows.stop)
         plan = TrialPlan.of(spec)
         repeats = _trial_fitness(journal, row, behind, plan.most)
@@ -309,7 +295,7 @@ def row_at(folder: RunFolder, journal: Journal, number: int) -> np.void:
     """Return the row of a number in a folder's journal; raises NoSuchRow."""
     if not 0 <= number < journal.count:
         raise NoSuchRow(folder.path, number, journal.count, _last_success(journal))
-    row: np.void = np.concatenate(list(journal.kept(number, number + 1)))[0]
+    row: np.void = np.concatenate(list(journal.blocks(number, number + 1)))[0]
     return row
 
 
@@ -341,7 +327,7 @@ def _trial_fitness(journal: Journal, row: np.void, behind: range, most: int) -> 
     found: list[float] = []
     if not most or row["trial"] or not Outcome(row["outcome"]).is_success:
         return found
-    for rows in journal.kept(behind.start, behind.stop) if behind else ():
+    for rows in journal.blocks(behind.start, behind.stop) if behind else ():
         is_same = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
         found += rows["fitness"][is_same & (rows["trial"] > 0)].tolist()
         if len(found) >= most or rows["generation"][-1] != row["generation"]:
@@ -354,7 +340,7 @@ def _last_success(journal: Journal) -> int | None:
     stop = journal.count
     while stop > 0:
         first = max(0, stop - ROWS_READ_AT_ONCE)
-        here = np.flatnonzero(success_mask(np.concatenate(list(journal.kept(first, stop)))))
+        here = np.flatnonzero(success_mask(np.concatenate(list(journal.blocks(first, stop)))))
         if len(here):
             return first + int(here[-1])
         stop = first

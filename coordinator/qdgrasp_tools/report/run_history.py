@@ -1,12 +1,9 @@
 """Reads the successes of one run over its evaluations, in one pass over its journal.
 
-Nominal rows are counted; a success's randomised trials give its eta and nothing else. A journal that keeps
-successes alone has the sums over all rows; where every genome counts, the place of a success says after how
-many evaluations it was found.
+Nominal rows are counted; a success's randomised trials give its eta and nothing else.
 """
 
 import math
-from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,10 +36,6 @@ SUMMED_COUNTS = ("evaluations", "simulated", "proposals", "overlaps", "dead_ends
 
 def _run_sums(journal: Journal, spec: RunSpec, blocks: Iterable[Rows]) -> dict[str, Any]:
     """Sum up all rows of a run, as `RunSummary` counts them; the blocks that are kept all pass."""
-    if journal.sources:
-        deque(blocks, maxlen=0)
-        summary = journal.sources[0].summary
-        return {name: summary[name] for name in (*SUMMED_COUNTS, "complete", "cpu_seconds")}
     total = count_rows(spec, blocks)
     sums = {name: getattr(total, name) for name in SUMMED_COUNTS}
     return sums | {"complete": total.finished is not None, "cpu_seconds": journal.cpu_seconds}
@@ -111,21 +104,13 @@ class RunHistory:
         return self.near / aimed if aimed else None
 
 
-def has_curves(folder: RunFolder) -> bool:
-    """Return whether all rows are kept, or successes of a run in which every genome counts."""
-    with folder.journal() as journal:
-        return _has_curves(journal, folder.spec)
-
-
 def read_history(folder: RunFolder, target: CoverageTarget, search: str = "") -> RunHistory:
     """Read what a run found, also while it goes on.
 
-    Raises FolderError if its journal cannot be read, or does not hold enough of it (`has_curves`).
+    Raises FolderError if its journal cannot be read.
     """
     spec = folder.spec
     with folder.journal() as journal:
-        if not _has_curves(journal, spec):
-            journal.check_whole()
         metrics, niches = SuccessMetrics(TrialPlan.of(spec)), empty_niche_archive(folder)
         found: list[SuccessHistory] = []
         blocks = metrics.counting(niches.inserting(_collect_successes(journal, spec, found)))
@@ -152,18 +137,10 @@ def read_history(folder: RunFolder, target: CoverageTarget, search: str = "") ->
     )
 
 
-def _has_curves(journal: Journal, spec: RunSpec) -> bool:
-    is_placed = spec.overlaps == "count" and not spec.has_own_search  # by the size of its generations
-    return not journal.sources or (len(journal.sources) == 1 and is_placed)
-
-
 def _collect_successes(journal: Journal, spec: RunSpec, found: list[SuccessHistory]) -> Iterator[Rows]:
     """Yield the rows of a journal in blocks; the successes in each are added as it passes."""
     before = 0
-    for block in journal.kept():
-        if journal.sources:
-            found.append(SuccessHistory.placed(block, spec.population))
-        else:
-            found.append(SuccessHistory.among(block, spec.overlaps, before))
-            before += int(evaluation_mask(block, spec.overlaps).sum())
+    for block in journal.blocks():
+        found.append(SuccessHistory.among(block, spec.overlaps, before))
+        before += int(evaluation_mask(block, spec.overlaps).sum())
         yield block

@@ -116,7 +116,7 @@ def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> R
     """
     with folder.journal() as journal:
         row = row_at(folder, journal, number)
-        found_by = provenance(folder, journal, number)
+        found_by = provenance(folder, journal)
         if trial is not None and trial != row["trial"]:
             number, row = _trial_of(journal, number, row, trial, found_by)
         if not row["base_to_object"].any():
@@ -131,7 +131,7 @@ def _trial_of(
     journal: Journal, number: int, row: np.void, trial: int, found_by: Provenance
 ) -> tuple[int, np.void]:
     first, recorded = found_by.rows.start, 0
-    for rows in journal.kept(first, found_by.rows.stop):
+    for rows in journal.blocks(first, found_by.rows.stop):
         is_its = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
         for place in np.flatnonzero(is_its).tolist():
             recorded = max(recorded, int(rows["trial"][place]))

@@ -30,7 +30,7 @@ from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import platforms
 from qdgrasp_coordinator.storage.engine_table import check_table, write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenances
+from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenance
 from qdgrasp_protocol.engines import engine_names
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
@@ -83,7 +83,7 @@ class RowSelection:
         first, stop = int(self.numbers[0]), int(self.numbers[-1]) + 1
         with self.folder.journal() as journal:
             parts, begin = [], first
-            for rows in journal.kept(first, stop):
+            for rows in journal.blocks(first, stop):
                 here = self.numbers[(self.numbers >= begin) & (self.numbers < begin + len(rows))]
                 parts.append(rows[here - begin])
                 begin += len(rows)
@@ -211,13 +211,12 @@ def _comparable_rows(folder: RunFolder) -> Iterator[tuple[RowSelection, NDArray[
     A kind is an outcome, of nominal rows apart from trials.
     """
     with folder.journal() as journal:
-        for found_by in provenances(folder, journal):
-            parts = [
-                rows["outcome"] + TRIAL_KIND * (rows["trial"] > 0).astype(np.uint8)
-                for rows in journal.kept(found_by.rows.start, found_by.rows.stop)
-            ]
-            kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *parts])
-            yield RowSelection(folder, found_by, np.arange(found_by.rows.start, found_by.rows.stop)), kinds
+        found_by = provenance(folder, journal)
+        parts = [
+            rows["outcome"] + TRIAL_KIND * (rows["trial"] > 0).astype(np.uint8) for rows in journal.blocks()
+        ]
+        kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *parts])
+        yield RowSelection(folder, found_by, np.arange(len(kinds))), kinds
 
 
 def _platform_shares(selections: Sequence[RowSelection], now: dict[str, str]) -> Iterator[PlatformShare]:
@@ -301,7 +300,7 @@ def compare_engine(
     spec = run_spec({key: value for key, value in values.items() if key not in OF_TRIALS}, "verify")
     check_engines([spec])
     with folder.journal() as journal:
-        rows = np.concatenate([journal.shape.empty(0), *journal.kept()])
+        rows = np.concatenate([journal.shape.empty(0), *journal.blocks()])
     places = np.flatnonzero((rows["outcome"] >= Outcome.DROPPED) & (rows["trial"] == 0))
     if not len(places):
         raise InputError(f"{folder.path} has no success that could be simulated in {engine}.")

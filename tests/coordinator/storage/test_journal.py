@@ -4,8 +4,6 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import tracemalloc
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -296,7 +294,7 @@ class TestRefusals:
         record(tmp_path, make_rows(1), [1])
         with sqlite3.connect(tmp_path / JOURNAL) as database:
             database.execute("PRAGMA user_version = 7")
-        check_refused(tmp_path, "is of format 7, this version of qdgrasp reads the formats 1, 2, 3, 4")
+        check_refused(tmp_path, "is of format 7, and this version of qdgrasp reads format 1")
 
     def test_a_torn_file_is_said_to_be_damaged(self, tmp_path: Path) -> None:
         record(tmp_path, make_rows(3000), [3000])
@@ -319,16 +317,6 @@ class TestRefusals:
         with pytest.raises(FolderError, match="rows 50 to 99 are not what was recorded"):
             Journal.open(tmp_path)
 
-    def test_a_number_that_no_row_holds_is_named(self, tmp_path: Path) -> None:
-        rows = make_rows(100)
-        rows["fitness"][37] = 3e38
-        record(tmp_path, rows, [30, 70])
-        with (
-            Journal.open(tmp_path) as journal,
-            pytest.raises(FolderError, match="of row 37, column 'fitness' holds 3e"),
-        ):
-            list(journal.blocks())
-
     def test_a_missing_block_is_said_to_be_damage(self, tmp_path: Path) -> None:
         record(tmp_path, make_rows(30), [10, 10, 10])
         with sqlite3.connect(tmp_path / JOURNAL) as database:
@@ -337,95 +325,12 @@ class TestRefusals:
             list(journal.blocks())
 
 
-ENDLESS = "WITH RECURSIVE endless(n) AS (SELECT 1 UNION ALL SELECT n FROM endless) SELECT {} FROM endless"
-BLOCK_COLUMNS = "n AS first, n, n AS epoch, n AS cpu_seconds, n AS crc, n AS rows"
-
-
-@pytest.mark.parametrize(
-    ("script", "named"),
-    [
-        (f"DROP TABLE blocks; CREATE VIEW blocks AS {ENDLESS.format(BLOCK_COLUMNS)}", "view 'blocks'"),
-        (f"DROP TABLE meta; CREATE VIEW meta AS {ENDLESS.format('n AS name, n AS value')}", "view 'meta'"),
-        (
-            "DROP TABLE errors; CREATE TABLE errors (row INTEGER PRIMARY KEY, "
-            "reason TEXT AS (hex(zeroblob(500000000)))) STRICT",
-            "table 'errors'",
-        ),
-        ("DROP TABLE errors; CREATE VIRTUAL TABLE errors USING fts5(row, reason)", "table 'errors'"),
-        ("CREATE TRIGGER sly AFTER INSERT ON turns BEGIN DELETE FROM blocks; END", "trigger 'sly'"),
-        ("CREATE INDEX slow ON blocks (length(hex(zeroblob(n))))", "index 'slow'"),
-        ("DROP TABLE turns", "has no table 'turns'"),
-        ('CREATE TABLE "\x1b[2J" (n)', r"table '\\x1b\[2J' is none of a journal"),
-    ],
-)
-def test_a_journal_with_other_objects_than_its_tables_is_refused(tmp_path, script, named) -> None:
-    record(tmp_path, make_rows(100), [100])
-    with sqlite3.connect(tmp_path / JOURNAL) as database:
-        database.executescript(script)
-    for reader in (Journal, JournalWriter):
-        with pytest.raises(FolderError, match=named):
-            reader.open(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ("n = n + 1 WHERE first = 70", "rows 70 to 100 are not"),
-        ("n = n - 1 WHERE first = 70", "rows 70 to 98 are not"),
-        ("n = 1 << 40 WHERE first = 70", "rows 70 to 1099511627845 are not"),
-        ("n = -30 WHERE first = 70", "rows 70 to 39 are not"),
-        ("first = 1 << 62 WHERE first = 70", "rows 4611686018427387904 to"),
-        ("n = n + 5 WHERE first = 30", "rows 30 to 74 are not"),
-        ("first = -30 WHERE first = 0", "rows -30 to -1 are not"),
-        ("first = 29 WHERE first = 0", "rows 29 to 58 are not"),
-    ],
-)
-def test_a_block_that_counts_other_rows_than_it_has_is_damage(tmp_path, change, words) -> None:
-    record(tmp_path, make_rows(100), [30, 40, 30])
-    with sqlite3.connect(tmp_path / JOURNAL) as database:
-        database.execute("UPDATE blocks SET " + change)  # noqa: S608  # of this test
-    with pytest.raises(FolderError, match=words), Journal.open(tmp_path) as journal:
-        list(journal.blocks())
-
-
 def test_a_page_in_front_of_all_blocks_is_damage(tmp_path: Path) -> None:
     record(tmp_path, make_rows(100), [50, 50])
     with sqlite3.connect(tmp_path / JOURNAL) as database:
         database.execute("DELETE FROM blocks WHERE first = 0")
     with Journal.open(tmp_path) as journal, pytest.raises(FolderError, match="rows 0 to 9 are missing"):
         journal.slice(0, 10)
-
-
-def test_a_block_that_inflates_to_more_than_its_rows_is_not_inflated(tmp_path: Path) -> None:
-    record(tmp_path, make_rows(100), [100])
-    bomb = zlib.compress(bytes(400 << 20))
-    with sqlite3.connect(tmp_path / JOURNAL) as database:
-        database.execute("UPDATE blocks SET rows = ?, crc = ?", (bomb, zlib.crc32(bomb)))
-    tracemalloc.start()
-    try:
-        with pytest.raises(FolderError, match="rows 0 to 99 are not"):
-            Journal.open(tmp_path)
-        assert tracemalloc.get_traced_memory()[1] < 10 << 20
-    finally:
-        tracemalloc.stop()
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("shape", '{"genes": 1000000000, "joints": 2}'),
-        ("shape", "[" * 50_000),
-        ("shape", '{"genes": 7, "joints": 2, "fingers": 3}'),
-        ("created", "yesterday"),
-        ("created", b"\xff"),
-    ],
-)
-def test_a_journal_that_says_of_itself_what_cannot_be_is_damaged(tmp_path, name, value) -> None:
-    record(tmp_path, make_rows(100), [100])
-    with sqlite3.connect(tmp_path / JOURNAL) as database:
-        database.execute("UPDATE meta SET value = CAST(? AS TEXT) WHERE name = ?", (value, name))
-    with pytest.raises(FolderError, match=r"what it says of itself cannot be read|damaged: Could not decode"):
-        Journal.open(tmp_path)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")

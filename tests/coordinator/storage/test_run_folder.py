@@ -15,7 +15,7 @@ from qdgrasp_coordinator.storage import job_folder
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
-from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance, provenances
+from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
 from qdgrasp_protocol.errors import FolderError, OtherRun
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -242,13 +242,8 @@ def test_what_a_killed_process_had_made_of_a_folder_is_swept_and_what_another_ma
     assert sorted(entry.name for entry in tmp_path.iterdir()) == [held.name, "run"]
 
 
-def run(path: Path, scene_maker: SceneMaker, seed: int) -> RunFolder:
-    return record(path, scene_maker(), random_rows(100, seed=seed), evaluations=100, seed=seed)
-
-
 def test_the_rows_of_a_run_are_its_own(tmp_path: Path, make_scene: SceneMaker) -> None:
-    folder = run(tmp_path / "one", make_scene, 0)
+    folder = record(tmp_path / "one", make_scene(), random_rows(100), evaluations=100)
     with folder.journal() as journal:
-        (only,) = provenances(folder, journal)
-        assert provenance(folder, journal, 99) == only
+        only = provenance(folder, journal)
     assert (only.run, only.rows, only.spec) == ("one", range(100), folder.spec)

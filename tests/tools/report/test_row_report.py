@@ -41,8 +41,8 @@ def run_of_synergies(path: Path, method: str = "me_scs", seed: int = 1) -> tuple
 
 def labels(folder: RunFolder) -> list[int]:
     with folder.journal() as journal:
-        rows = np.concatenate(list(journal.kept()))
-        return row_context(folder, journal).synergies(rows, np.arange(len(rows))).tolist()
+        rows = np.concatenate(list(journal.blocks()))
+        return row_context(folder, journal).synergies.labels(rows["genome"]).tolist()
 
 
 def test_a_run_names_synergies_as_its_prior_does(tmp_path: Path) -> None:
@@ -72,7 +72,7 @@ def test_before_the_scene_is_there_no_synergy_is_named(tmp_path: Path) -> None:
     folder, rows = run_of_synergies(tmp_path / "mug")
     (folder.path / "scene.bundle").unlink()
     with folder.journal() as journal:
-        found = RowContextCache().get(folder, journal).synergies(rows, np.arange(len(rows)))
+        found = RowContextCache().get(folder, journal).synergies.labels(rows["genome"])
     assert set(found.tolist()) == {-1}
 
 

@@ -83,7 +83,7 @@ def own(rows: Rows) -> Rows:
 
 def rows_of(folder: RunFolder) -> Rows:
     with folder.journal() as journal:
-        return np.concatenate(list(journal.kept()))
+        return np.concatenate(list(journal.blocks()))
 
 
 def test_all_rows_are_chosen_where_all_are_asked_for_also_those_that_failed(folders) -> None:
