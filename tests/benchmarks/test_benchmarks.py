@@ -6,8 +6,7 @@ import shlex
 
 import numpy as np
 import pytest
-from benchmarks import ablation, figure, limits, single_run, warm_start
-from benchmarks.coordination import METHODS, Coordinator
+from benchmarks import figure, limits, warm_start
 from benchmarks.evaluation_speed import BUILT_IN, ORDER, REFERENCE, REST, STAGES, STEPS, StageProfile
 from benchmarks.measure import Figure, Meter, StageTimer, TimedWork, measure_in_turns, number, spread
 from benchmarks.node_benchmark import PlatformSink
@@ -39,7 +38,6 @@ from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask, successes
 from qdgrasp_coordinator.scheduler.batch_queue import read_result
-from qdgrasp_coordinator.search.registry import METHODS as KNOWN
 from qdgrasp_coordinator.search.registry import method
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.messages import Result
@@ -48,25 +46,6 @@ from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.platform import probe_scene, probes
 
 VALUES = {"gripper": "panda", "evaluations": 60, "overlaps": "redraw", "protocol": "paper"}
-
-
-def measured(path, names):
-    return ablation.measure(["tennis_ball"], [0], names, False, ablation.FinishedRuns(path), **VALUES)
-
-
-@pytest.mark.parametrize("name", ablation.VARIANTS)
-def test_a_search_without_a_part_still_finds_grasps(name, tmp_path):
-    (run,) = measured(tmp_path / "runs", [name])
-    assert run["evaluations"] == [60]
-    assert run["successes"] > 0
-
-
-def test_what_is_in_is_not_carried_out_again(tmp_path, monkeypatch):
-    once = measured(tmp_path / "runs", ["aimed"])
-    monkeypatch.setattr(single_run, "run", None)
-    assert json.dumps(measured(tmp_path / "runs", ["aimed"])) == json.dumps(once)  # NaN equals itself in text
-    with pytest.raises(TypeError):
-        measured(tmp_path / "runs", ["aimed", "no threshold"])
 
 
 def test_a_warm_start_is_measured_beside_a_search_from_nothing(monkeypatch, capsys):
@@ -158,14 +137,6 @@ def test_every_pair_is_measured_once_and_the_built_in_ones_are_there() -> None:
     assert len(set(pairs)) == len(pairs)
     assert {pair.hand for pair in BUILT_IN} <= set(gripper_names())
     assert {pair.object for pair in BUILT_IN} <= set(object_names())
-
-
-@pytest.mark.parametrize("name", METHODS)
-def test_a_coordinator_alone_gets_on_with_every_method_that_is_measured(name: str) -> None:
-    assert name in KNOWN
-    coordinator, meter = Coordinator(name), Meter()
-    assert sum(coordinator(meter) for _ in range(3)) > 0
-    assert set(coordinator.stages) == {"ask", "tell", "pipeline", "dispatch", "messages"}
 
 
 def test_the_figure_has_a_bar_for_each_regime_of_each_pair(tmp_path) -> None:

@@ -10,8 +10,7 @@ Exploration: grasps without a success to learn from aim as the prior `approach` 
 before one of its faces, at most 45 degrees aside, and near it, where most grasps hold. They use the object's
 box and the hand's distances, and leave the surface to the worker.
 
-Other modules decide which cells and which candidates are worth a try: `touch_search` looks for cells in
-which a finger touches, `value_search` for grasps of value.
+Other modules decide which cells and which candidates are worth a try: `value_search` and `niche_search`.
 
 New in this project, not from the paper.
 """

@@ -2,7 +2,7 @@
 
 The worth of a try in a cell is promise / (tries + dead ends / 2 + 1), where a try is a simulated pose and a
 dead end a genome of which no pose could be simulated. Each search learns the promise of a cell
-(`touch_search`, `value_search`) from the distance between the cell and the contact point of the nearest
+(`value_search`) from the distance between the cell and the contact point of the nearest
 success beside it, and from its 26 neighbours. It begins with weights of other runs: in units of a hand's
 reach, they are nearly the same for all hands and objects.
 
@@ -20,7 +20,7 @@ from qdgrasp_assets.geometry.rotation import Floats, dot, rolls, rotate, tangent
 from qdgrasp_assets.scene import Vector
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
 from qdgrasp_coordinator.search.archive import PositionBox
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.rows import Rows
 
 Places = NDArray[np.intp]  # (n,): cells of a frontier, as places in its grid
 DEAD_END = 0.5  # Weight of a dead end against a try: it costs no simulation, and the next may do better
@@ -208,12 +208,6 @@ class EliteStore:
         """
         ranks = self.ranks(options)
         return np.where(ranks < 0, -1.0, ranks + RANK_NOISE * generator.random(options.shape))
-
-    @property
-    def weak(self) -> Places:
-        """The places whose best success is not robust, in the order of discovery."""
-        kept = self._kept[: self._size]
-        return kept["place"][kept["outcome"] < Outcome.HELD]
 
     def _at(self, name: str, places: Places) -> Floats:
         return self._kept[name][self._slots[places]].astype(np.float64)

@@ -14,7 +14,6 @@ from qdgrasp_coordinator.search import cma_mae, fixed_poses
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace
 from qdgrasp_coordinator.search.map_elites import MapElites, RandomSearch, select_successes, select_uniform
 from qdgrasp_coordinator.search.niche_search import NicheSearch
-from qdgrasp_coordinator.search.touch_search import TouchSearch
 from qdgrasp_coordinator.search.value_search import ValueSearch, check_first_weights
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import GIVEN, trial_count
@@ -59,7 +58,6 @@ PRIORS = {
     "approach": PriorLabel("approach_", "at most 45 deg from the surface's normal"),
     "antipodal": PriorLabel("antipodal_", "two fingers on opposite points"),
     "spherical": PriorLabel("", "without a prior"),
-    genes.AIMED: PriorLabel("", "into a cell"),
     genes.VALUED: PriorLabel("", "into a cell"),
 }
 
@@ -80,14 +78,9 @@ def _family(
     ]
 
 
-def aims_for_touch(spec: RunSpec) -> bool:
-    """Return whether a spec of method `aimed` asks for contact alone, as before 0.2.0."""
-    return spec.aim_for in (None, "touch")
-
-
 def learns_value(spec: RunSpec) -> bool:
     """Return whether a spec's search has the models that `first_weights` are for."""
-    return method(spec.method) is AIMED and not aims_for_touch(spec) and by_position(spec)
+    return method(spec.method) is AIMED and by_position(spec)
 
 
 def search_words(spec: RunSpec) -> str:
@@ -98,8 +91,6 @@ def search_words(spec: RunSpec) -> str:
 
 def _aimed_search(spec: RunSpec) -> BuildSearch:
     """Return the search that a spec of method `aimed` asks for."""
-    if aims_for_touch(spec):
-        return TouchSearch
     return ValueSearch if by_position(spec) else NicheSearch
 
 
@@ -110,8 +101,6 @@ def by_position(spec: RunSpec) -> bool:
 
 def check_objective(spec: RunSpec) -> None:
     """Check that the search can measure a grasp's quality and kind by its spec."""
-    if aims_for_touch(spec):
-        _check_no_kinds(spec, "aim_for = 'touch', which fills cells with first touches")
     if by_position(spec) and (spec.grasps_per_cell or 1) > 1:
         raise ImpossibleValue(
             "grasps_per_cell", spec.grasps_per_cell, "1 for diversity = 'position', which tells cells apart"
@@ -206,8 +195,7 @@ def method(name: str) -> Method:
 
 def prior_of(spec: RunSpec) -> str:
     """Return the prior of a spec's genomes."""
-    chosen = method(spec.method)
-    return genes.AIMED if chosen is AIMED and aims_for_touch(spec) else chosen.prior
+    return method(spec.method).prior
 
 
 def check_spec(spec: RunSpec) -> None:

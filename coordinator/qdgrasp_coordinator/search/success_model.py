@@ -10,9 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp_assets.genes import FEATURES, STEEPEST
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_protocol.rows import Outcome, Rows
 
 EXAMPLES_KEPT = 2048  # Number of the last examples, which a fit uses
 FIT_INTERVAL = 256  # Examples between two fits
@@ -127,42 +125,6 @@ def _quantised(weights: Floats) -> Floats:
 def _likely(features: Floats, weights: Floats) -> Floats:
     likely: Floats = 1.0 / (1.0 + np.exp(-np.einsum("nk,k->n", features, weights)))
     return likely
-
-
-class CandidateRanker:
-    """Logistic regression of success on the features that the prior `aimed` gives of its pose.
-
-    It begins without weights: those of one object mislead on another.
-    """
-
-    def __init__(self) -> None:
-        self._model = LogisticRegression(np.zeros(len(FEATURES)), own_units=True)
-
-    def wanting(self, likely: Floats) -> Floats:
-        """Return weights (n, features) that reject candidates less `likely` (n,) to succeed.
-
-        A rejected candidate's score is negative. Where `likely` is 0, and before the first fit, none
-        is rejected.
-        """
-        weights = np.tile(self._model.weights, (len(likely), 1))
-        if weights.any():
-            is_choosy = likely > 0.0
-            weights[~is_choosy, -1] = 0.0
-            weights[is_choosy, -1] -= _quantised(np.log(likely[is_choosy] / (1.0 - likely[is_choosy])))
-            weights[is_choosy & (weights[:, -1] == 0.0), -1] = 1.0 / WEIGHT_GRAIN
-        return scale_to_gene_range(weights)
-
-    def learn(self, simulated: Rows) -> None:
-        """Learn from rows that were simulated."""
-        features = simulated["descriptor"][:, 3:].astype(np.float64)
-        self._model.learn(features, simulated["outcome"] >= Outcome.DROPPED)
-
-
-def scale_to_gene_range(weights: Floats) -> Floats:
-    """Scale down weights (n, features) too steep for their genes; order and signs stay."""
-    steepest = np.maximum(np.abs(weights).max(axis=1, keepdims=True), STEEPEST)
-    scaled: Floats = weights * (STEEPEST / steepest)
-    return scaled
 
 
 DEAD_END_DISCOUNT = 0.5  # Reduction for each dead end: wanted / (dead ends * this + 1)

@@ -7,8 +7,8 @@ cell before it is tried, for the choice of cells. The worth of a cell is its pos
 has none, and quality beyond its best, by the same formula for empty and weak cells. So none is closed by its
 first touch.
 
-Quality is the spec's `aim_for`: whether the grasp held (`hold`), its eta (`eta`), or its Ferrari-Canny margin
-(`margin`).
+Quality is the spec's `aim_for`: whether the grasp held (`hold`), its eta (`eta`), its Ferrari-Canny margin
+(`margin`), or 1 for any touch (`touch`).
 """
 
 import math
@@ -92,6 +92,8 @@ def quality_measure(spec: RunSpec, space: SearchSpace) -> Qualities:
     if spec.aim_for == "eta":
         most = FULL_ETAS[spec.nominal_protocol] * spec.disturbances * trial_count(spec.protocol)
         return EtaQualities(most, PRIOR_TRIALS if spec.trials == "sequential" else 0.0)
+    if spec.aim_for == "touch":  # the first touch is worth all, and closes its cell
+        return lambda rows: np.ones(len(rows))
     if spec.aim_for == "margin" and space.body is not None:
         body = space.body
         return lambda rows: _quantised_quality(recorded_margins(rows, body) / FULL_MARGIN)

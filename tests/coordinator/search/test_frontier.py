@@ -6,7 +6,7 @@ import pytest
 from qdgrasp_assets.geometry.rotation import conjugate, from_frame, multiply, tangents, turned, unit
 from qdgrasp_coordinator.search.base import keyed_generator
 from qdgrasp_coordinator.search.frontier import FIRST_CAPACITY, EliteStore, Places, outcome_ranks
-from qdgrasp_coordinator.search.touch_search import TouchFrontier
+from qdgrasp_coordinator.search.value_search import ValueFrontier
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
 BOX = (np.full(3, -0.05), np.full(3, 0.05))
@@ -20,30 +20,23 @@ def generator(number: int = 0) -> np.random.Generator:
 
 
 @pytest.fixture
-def frontier() -> TouchFrontier:
-    return TouchFrontier(BOX, REACH)
+def frontier() -> ValueFrontier:
+    return ValueFrontier(BOX, REACH)
 
 
-def succeed(frontier: TouchFrontier, positions) -> None:
+def succeed(frontier: ValueFrontier, positions) -> None:
     """Successes at `positions` that look at points 5 cm below."""
     positions = np.asarray(positions, float)
-    frontier.add_successes(frontier.places(positions), positions - [0, 0, 0.05])
+    frontier.add_grasps(frontier.places(positions), positions - [0, 0, 0.05], np.ones(len(positions)))
 
 
-def equals(frontier: TouchFrontier) -> Places:
+def equals(frontier: ValueFrontier) -> Places:
     """Six cells that are equally far from the only success and what it looks at."""
-    frontier.add_successes(frontier.places(MIDDLE), MIDDLE)
+    frontier.add_grasps(frontier.places(MIDDLE), np.asarray(MIDDLE, float), np.ones(1))
     return frontier.places(BESIDE)
 
 
-def by_hand(frontier: TouchFrontier, found: np.ndarray) -> set[tuple[int, ...]]:
-    """The empty cells of the box beside `found` cells (n, 3), one by one."""
-    cells = {tuple(cell) for cell in found}
-    around = {tuple(np.add(cell, step) - 1) for cell in cells for step in np.ndindex(3, 3, 3)}
-    return {cell for cell in around - cells if max(map(abs, cell)) <= 5}
-
-
-def test_places_and_centres_are_each_others_inverse(frontier: TouchFrontier) -> None:
+def test_places_and_centres_are_each_others_inverse(frontier: ValueFrontier) -> None:
     cells = np.stack(np.meshgrid(*[np.arange(-5, 6)] * 3), axis=-1).reshape(-1, 3)
     places = frontier.places(cells / 100)
     assert len(np.unique(places)) == 11**3
@@ -51,36 +44,12 @@ def test_places_and_centres_are_each_others_inverse(frontier: TouchFrontier) -> 
     assert frontier.centres(places) == pytest.approx(cells / 100)
 
 
-def test_positions_outside_the_box_have_no_place(frontier: TouchFrontier) -> None:
+def test_positions_outside_the_box_have_no_place(frontier: ValueFrontier) -> None:
     assert frontier.places([[0.056, 0, 0], [0, -0.056, 0], [0.054, 0, 0]]).tolist()[:2] == [-1, -1]
     assert frontier.places([[0.054, 0, 0]])[0] >= 0
 
 
-def test_a_success_makes_its_26_neighbours_worth_a_try(frontier: TouchFrontier) -> None:
-    succeed(frontier, MIDDLE)
-    reached = np.rint(frontier.centres(frontier.edge) * 100)
-    assert len(reached) == 26
-    assert np.abs(reached).max(axis=1).tolist() == [1] * 26
-    worth = frontier.worth(frontier.edge)
-    assert worth.min() > 0
-    assert worth.max() < 1
-
-
-def test_the_edge_is_what_one_finds_cell_by_cell(frontier: TouchFrontier) -> None:
-    random = np.random.default_rng(1)
-    found = np.zeros((0, 3), int)
-    for _ in range(12):
-        new = random.integers(-5, 6, (random.integers(1, 8), 3))
-        found = np.concatenate([found, new])
-        succeed(frontier, new / 100)
-        edge = np.rint(frontier.centres(frontier.edge) * 100).astype(int)
-        assert len(edge) == len({tuple(cell) for cell in edge})
-        assert {tuple(cell) for cell in edge} == by_hand(frontier, found)
-        beside = (np.abs(edge[:, None] - np.unique(found, axis=0)[None]).max(axis=2) == 1).sum(axis=1)
-        assert (frontier.features(frontier.edge)[:, 2] * 26).tolist() == pytest.approx(beside.tolist())
-
-
-def test_a_try_costs_more_than_a_dead_end(frontier: TouchFrontier) -> None:
+def test_a_try_costs_more_than_a_dead_end(frontier: ValueFrontier) -> None:
     places = equals(frontier)[:3]
     tried = frontier.worth(places)[0] / 2
     frontier.count_tries(places)
@@ -89,36 +58,12 @@ def test_a_try_costs_more_than_a_dead_end(frontier: TouchFrontier) -> None:
     assert frontier.worth(places).tolist() == pytest.approx([tried * 2 / 1.5, tried, tried])
 
 
-def test_the_best_are_those_with_most_neighbours_and_fewest_tries(frontier: TouchFrontier) -> None:
-    succeed(frontier, [[-0.01, 0, 0], [0.01, 0, 0]])
-    between = frontier.places(MIDDLE)
-    level = frontier.places([[0.02, 0, 0], [0.01, 0.01, 0], [0.01, -0.01, 0]])
-    compared = np.concatenate([between, level])
-    assert frontier.best(1, generator(), compared).tolist() == between.tolist()
-    frontier.count_tries(np.repeat(between, 2))
-    assert between not in frontier.best(3, generator(), compared)
-
-
-def test_before_anything_is_learned_near_cells_come_first(frontier: TouchFrontier) -> None:
+def test_before_anything_is_learned_near_cells_come_first(frontier: ValueFrontier) -> None:
     succeed(frontier, MIDDLE)
     assert frontier.centres(frontier.best(9, generator()))[:, 2] == pytest.approx(np.full(9, -0.01))
 
 
-@pytest.mark.parametrize("n", [0, 1, 20, 26, 400])
-def test_no_cell_is_chosen_twice_and_never_a_successful_one(frontier: TouchFrontier, n: int) -> None:
-    succeed(frontier, MIDDLE)
-    best = frontier.best(n, generator())
-    assert len(np.unique(best)) == len(best) == min(n, 26)
-    assert not frontier.successful[best].any()
-
-
-def test_among_equals_every_cell_has_its_turn(frontier: TouchFrontier) -> None:
-    among = equals(frontier)
-    seen = {int(place) for number in range(60) for place in frontier.best(2, generator(number), among)}
-    assert seen == set(among.tolist())
-
-
-def test_a_dead_end_is_not_tried_for_ever(frontier: TouchFrontier) -> None:
+def test_a_dead_end_is_not_tried_for_ever(frontier: ValueFrontier) -> None:
     among = equals(frontier)
     times: dict[int, int] = {}
     for number in range(104):
@@ -130,39 +75,19 @@ def test_a_dead_end_is_not_tried_for_ever(frontier: TouchFrontier) -> None:
     assert max(times.values()) - min(times.values()) <= 1
 
 
-def test_the_nearest_contact_point_beside_a_cell_counts(frontier: TouchFrontier) -> None:
-    below, above = np.array([[0.0, 0, -0.05]]), np.array([[0.0, 0, 0.03]])
-    frontier.add_successes(frontier.places(MIDDLE), below)
-    cell = frontier.places([[0.0, 0, 0.01]])
-    assert frontier.features(cell)[0] == pytest.approx([0.6, 0.36, 1 / 26, 1])
-    frontier.add_successes(frontier.places([[0.01, 0, 0.0]]), above)
-    assert frontier.features(cell)[0] == pytest.approx([0.2, 0.04, 2 / 26, 1])
-
-
-def test_it_learns_which_distances_promise_success(frontier: TouchFrontier) -> None:
-    random = np.random.default_rng(0)
-    distances = random.uniform(0.2, 1.2, 2000)
-    features = np.stack([distances, distances**2, random.random(2000), np.ones(2000)], axis=1)
-    frontier.learn(features, random.random(2000) < 1 / (1 + np.exp(20 * (distances - 0.5))))
-    succeed(frontier, [[0.0, 0, 0], [0, 0, 0.01], [0, 0, 0.02], [0, 0, 0.03], [0, 0, 0.04]])
-    near, far = frontier.places([[0.01, 0, -0.01]]), frontier.places([[0.01, 0, 0.05]])
-    near_worth, far_worth = frontier.worth(np.concatenate([near, far]))
-    assert near_worth > 2 * far_worth
-
-
 def test_cells_that_no_contact_point_is_near_or_far_enough_from_are_not_aimed_at() -> None:
     """All are of cells around a success whose contact point is 3 cm below it."""
     random = np.random.default_rng(0)
-    everywhere, some = TouchFrontier(BOX, REACH), TouchFrontier(BOX, REACH, (0.025, 0.035))
+    everywhere, some = ValueFrontier(BOX, REACH), ValueFrontier(BOX, REACH, (0.025, 0.035))
     for frontier in (everywhere, some):
-        frontier.add_successes(frontier.places(np.zeros((1, 3))), np.array([[0.0, 0.0, -0.03]]))
+        frontier.add_grasps(frontier.places(np.zeros((1, 3))), np.array([[0.0, 0.0, -0.03]]), np.ones(1))
     assert set(some.edge) == set(everywhere.edge)
     centres = some.centres(some.best(26, random))
     distances = np.linalg.norm(centres - [0.0, 0.0, -0.03], axis=1)
     assert 0 < len(centres) < 26
     assert ((distances >= 0.025) & (distances <= 0.035)).all()
     assert len(everywhere.best(26, random)) == 26
-    some.add_successes(some.places(np.array([[0.0, 0.0, 0.02]])), np.array([[0.0, 0.0, -0.015]]))
+    some.add_grasps(some.places(np.array([[0.0, 0.0, 0.02]])), np.array([[0.0, 0.0, -0.015]]), np.ones(1))
     assert len(some.best(100, random)) > len(centres)
 
 
@@ -214,14 +139,6 @@ def test_of_equal_outcomes_the_fitter_is_the_better() -> None:
     kept, told = elite_store(), rows([Outcome.HELD] * 3, [150.0, 180.0, 180.0])
     offer(kept, of([1, 1, 1]), told)
     assert kept.points(of([1])).tolist() == told["surface_point"][1:2].tolist()
-
-
-def test_weak_places_are_those_without_a_robust_grasp() -> None:
-    kept = elite_store()
-    offer(kept, of([4, 5, 6]), rows([Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN]))
-    assert sorted(kept.weak.tolist()) == [4, 6]
-    offer(kept, of([4]), rows([Outcome.HELD]))
-    assert kept.weak.tolist() == [6]
 
 
 def test_places_without_a_success_rank_below_all_others() -> None:

@@ -27,7 +27,7 @@ GENES = 7
 SHAPE = RowShape(genes=GENES, joints=2)
 GENERATIONS = 6
 POPULATION = 60
-TOUCH = replace(AIMED, prior="aimed", aim_for="touch")
+TOUCH = replace(AIMED, aim_for="touch")
 SEARCHES = [TOUCH, *{entry.build: entry for entry in METHODS.values()}.values()]
 """One method of each search: the priors, which tell the others apart, mean nothing here."""
 OVER_THE_CUBE = [entry for entry in SEARCHES if not entry.aim_for and not entry.name.endswith("cma_mae")]
@@ -167,18 +167,13 @@ def test_the_methods_of_the_paper_are_there() -> None:
 @pytest.mark.parametrize(
     ("values", "prior"),
     [
-        ({}, "aimed"),  # as every spec of a version that knew no objective
-        ({"aim_for": "touch"}, "aimed"),
-        ({"aim_for": "hold"}, "valued"),
-        ({"aim_for": "margin"}, "valued"),
-        ({"aim_for": "eta", "protocol": "robust"}, "valued"),
+        ({}, "valued"),
         ({"method": "antipodal_rand"}, "antipodal"),
         ({"method": "given"}, "given"),
-        ({"method": "custom_aimed"}, "aimed"),
         ({"method": "custom_valued"}, "valued"),
     ],
 )
-def test_method_and_objective_decide_on_the_prior(values, prior) -> None:
+def test_a_method_decides_on_the_prior(values, prior) -> None:
     assert prior_of(spec(**values)) == prior
 
 
@@ -204,7 +199,6 @@ def test_method_and_objective_decide_on_the_prior(values, prior) -> None:
             )
             for values, whose in (
                 ({"method": "me_scs"}, "method 'me_scs', which has no such models, got"),
-                ({"aim_for": "touch"}, "method 'aimed' with aim_for 'touch', which has no such models, got"),
                 ({"aim_for": "hold", "diversity": "posture"}, "method 'aimed' with aim_for 'hold' with"),
             )
         ],
@@ -225,14 +219,6 @@ def test_method_and_objective_decide_on_the_prior(values, prior) -> None:
                 ((*WEIGHTS[1:], np.inf), "multiples of 1/64 from -64 to 64, got"),
             )
         ],
-        (
-            {"diversity": "orientation", "aim_for": "touch"},
-            "diversity must be left out for aim_for = 'touch', which fills cells with first touches, got",
-        ),
-        (
-            {"grasps_per_cell": 1},  # without an objective, as before there was a choice
-            "grasps_per_cell must be left out for aim_for = 'touch', which fills cells with first touches",
-        ),
         (
             {"diversity": "posture", "method": "me_scs"},
             "diversity must be left out for method 'me_scs', which does not look for kinds, got 'posture'.",

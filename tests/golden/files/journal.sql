@@ -1,5 +1,5 @@
 PRAGMA application_id = 1902405490;
-PRAGMA user_version = 3;
+PRAGMA user_version = 1;
 PRAGMA page_size = 4096;
 PRAGMA journal_mode = wal;
 CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID;
