@@ -179,8 +179,6 @@ class Journal:
         """Yield all rows in order, some thousands at a time, with their cost and failures."""
         return self._slices(0, self.count)
 
-    kept = blocks
-
     def successes(self) -> Rows:
         """Return every nominal success, in order, all columns; fitness 0 included (the archive A_o)."""
         found = [successes(rows) for rows in self.blocks()]

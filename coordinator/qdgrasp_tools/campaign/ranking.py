@@ -63,7 +63,7 @@ def read_run_grasps(folder: RunFolder) -> Rows:
     A grasp survived a nominal disturbance; under a protocol with trials all of its own are recorded.
     """
     with folder.journal() as journal:
-        found = [journal.shape.empty(0), *scored_successes(journal.kept(), TrialPlan.of(folder.spec))]
+        found = [journal.shape.empty(0), *scored_successes(journal.blocks(), TrialPlan.of(folder.spec))]
     rows = np.concatenate(found)
     rows["trial"] = 0
     return rows[rows["outcome"] >= Outcome.SHAKEN]

@@ -93,7 +93,7 @@ class GraspReader:
     def blocks(self, least: Outcome = Outcome.DROPPED) -> Iterator[Grasps]:
         """Yield those that got as far as `least`, in journal order."""
         first = 0
-        for block in self.journal.kept():
+        for block in self.journal.blocks():
             here = np.flatnonzero((block["trial"] == 0) & (block["outcome"] >= least))
             yield self._grasps(first + here, take_rows(block, here))
             first += len(block)
@@ -103,7 +103,7 @@ class GraspReader:
         order = np.argsort(numbers, kind="stable")
         wanted, parts = numbers[order], [self.journal.shape.empty(0)]
         first = int(wanted[0]) if len(wanted) else 0
-        for block in self.journal.kept(first, int(wanted[-1]) + 1) if len(wanted) else ():
+        for block in self.journal.blocks(first, int(wanted[-1]) + 1) if len(wanted) else ():
             low, high = np.searchsorted(wanted, (first, first + len(block)))
             parts.append(take_rows(block, wanted[low:high] - first))
             first += len(block)
@@ -124,7 +124,7 @@ class GraspReader:
     def _known_etas(self) -> tuple[NDArray[np.generic], Floats, NDArray[np.generic]]:
         """The genomes of successes with enough trials, ascending, and their eta and trials (n,)."""
         plan = TrialPlan.of(self.spec)
-        scored = scored_successes(self.journal.kept(), plan) if plan.stages else ()
+        scored = scored_successes(self.journal.blocks(), plan) if plan.stages else ()
         found = [
             (genome_numbers(rows), plan.eta(rows["fitness"]), rows["trial"])
             for rows in (self.journal.shape.empty(0), *scored)
