@@ -47,7 +47,7 @@ def test_every_package_that_a_run_needs_stands_in_the_notices() -> None:
 @pytest.mark.parametrize(
     ("extra", "heading"),
     [
-        *((extra, "of the extras cma, export and monitor only") for extra in ("cma", "export", "monitor")),
+        *((extra, "of the extras export and monitor only") for extra in ("export", "monitor")),
         ("dev", "for tests and checks only"),
         ("docs", "for the documentation site only"),
         ("gpu", "for the engine mujoco-warp only"),

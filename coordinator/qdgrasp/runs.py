@@ -11,9 +11,12 @@ import numpy as np
 
 from qdgrasp.arguments import path_of
 from qdgrasp.hand import Hand
-from qdgrasp_assets.genes import layout
+from qdgrasp_assets.genes import archive_box, layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
+from qdgrasp_coordinator.metrics.scores import scored_successes
+from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
+from qdgrasp_coordinator.search.archive import ribs_archive
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -160,6 +163,19 @@ class Run:
         """Yield the same rows some thousands at a time, for runs that do not fit into memory."""
         with self._folder.journal() as journal:
             yield from journal.blocks()
+
+    def archive(self) -> Any:
+        """Return the successes as a `ribs.archives.GridArchive`, the best of each 1 cm cell.
+
+        Solutions are genomes, measures hand positions [m] in the frame of the centre of mass, objectives the
+        fitness that the search is told. `archive.data(return_type="pandas")` is its table, and
+        `ribs.visualize` draws it.
+        """
+        with self._folder.journal() as journal:
+            found = [journal.shape.empty(0), *scored_successes(journal.blocks(), TrialPlan.of(self.spec))]
+        rows = np.concatenate(found)
+        box = archive_box(self.scene, prior_of(self.spec))
+        return ribs_archive(box, rows, rows["fitness"].astype(np.float64))
 
     def _repr_html_(self) -> str:
         from qdgrasp_tools.rendering import html_cards, views  # what draws takes its time to load

@@ -6,7 +6,6 @@ from typing import Self
 from qdgrasp_protocol.errors import InputError
 
 EXTRAS = {
-    "cma": ("ribs",),
     "export": ("h5py", "pyarrow"),
     "gpu": ("mujoco_warp", "warp"),
     "monitor": ("prometheus_client", "sse_starlette", "starlette", "uvicorn"),

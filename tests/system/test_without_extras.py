@@ -1,14 +1,14 @@
 """Without the packages of extras: the main job to its end, and a sentence for each feature that needs one."""
 
 import os
-import shutil
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
-from tests.golden.runs import RECORDED
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import made_scene
 from tests.system.commands import Commands, end_of
 from typer.testing import CliRunner
 
@@ -25,11 +25,9 @@ IMPORTED = {
     "mujoco": "",  # the same modules as mujoco-core, which is no extra
 }
 """Import names of packages with another name."""
-FOREIGN = {"numba", "pandas", "sklearn"}
-"""Packages that pyribs alone requires."""
 SCENE = ("--gripper", "panda", "--object", "tennis_ball")
 CAMPAIGN = '[defaults]\ngripper = "panda"\nevaluations = 20\n[[cross]]\nobject = ["tennis_ball"]\n'
-LEFT_OUT = sorted({*(name for names in EXTRAS.values() for name in names), *FOREIGN})
+LEFT_OUT = sorted(name for names in EXTRAS.values() for name in names)
 
 
 @pytest.fixture
@@ -38,14 +36,11 @@ def without_extras(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     for name in LEFT_OUT:
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(RECORDED / "finished", "finished")
+    record(Path("finished"), made_scene(), random_rows(100), evaluations=100)
     Path("grasps.h5").write_bytes(b"\x89HDF\r\n\x1a\nmore")
     Path("grasps.parquet").write_bytes(b"PAR1 more")
     Path("objects.parquet").write_bytes(b"PAR1 more")
     Path("dataset").mkdir()
-    Path("campaign.toml").write_text(
-        CAMPAIGN.replace('gripper = "panda"', 'gripper = "panda"\nmethod = "cma_mae"')
-    )
     Path("library.toml").write_text(CAMPAIGN.replace('["tennis_ball"]', '["objects.parquet"]'))
     return tmp_path
 
@@ -57,8 +52,6 @@ IMPORT = ("import", *SCENE, "-o", "made.npz")
 @pytest.mark.parametrize(
     ("words", "need", "package", "extra"),
     [
-        (("run", *SCENE, "--method", "cma_mae", "--out", "made"), "The method cma_mae", "ribs", "cma"),
-        (("campaign", "campaign.toml", "--out", "made"), "The method cma_mae", "ribs", "cma"),
         (("campaign", "library.toml", "--out", "made"), "objects.parquet", "pyarrow", "export"),
         ((*EXPORT, "acronym"), "The format acronym", "h5py", "export"),
         ((*EXPORT, "parquet"), "The format parquet", "pyarrow", "export"),

@@ -7,14 +7,17 @@ probability 0.5. Here positions outside the box are left out, and ties keep the 
 """
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.metrics.arrays import take_rows
-from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
+
+if TYPE_CHECKING:
+    from ribs.archives import GridArchive
 
 FAILED = -1.0  # Objective of a valid pose that is no success: below any success's, which is its fitness
 
@@ -71,3 +74,22 @@ class EliteArchive:
         self._objectives[places[better]] = objectives[better]
         self._genomes[places[better]] = offered["genome"][better]
         self._places = np.union1d(self._places, places[better])
+
+
+def ribs_archive(box: PositionBox, rows: Rows, objectives: NDArray[np.float64]) -> "GridArchive":
+    """Return successes (n,) in a pyribs archive of the cells of a box, the best of each cell.
+
+    Solutions are genomes, measures hand positions [m], CoM frame; bins are the 1 cm cells. Successes outside
+    the box are left out: pyribs would clip them into border cells.
+    """
+    from ribs.archives import GridArchive  # takes 1-2 s
+
+    low, high = cells(np.stack([np.asarray(corner) for corner in box]))
+    # pyribs cuts a range into equal bins: from half a cell below the first middle to half above the last.
+    ranges = list(zip((low - 0.5) / PER_METRE, (high + 0.5) / PER_METRE, strict=True))
+    archive = GridArchive(solution_dim=rows["genome"].shape[1], dims=high - low + 1, ranges=ranges)
+    where = cells(rows["descriptor"][:, :3])
+    inside = ((where >= low) & (where <= high)).all(axis=1)
+    if inside.any():
+        archive.add(rows["genome"][inside], objectives[inside], where[inside] / PER_METRE)
+    return archive

@@ -19,7 +19,6 @@ from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.search.archive import PositionBox
 from qdgrasp_coordinator.search.base import keyed_generator
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.extras import check_packages
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 
@@ -38,10 +37,8 @@ F_MIN = -1.0  # The threshold of an empty cell
 def check(spec: RunSpec) -> None:
     """Refuse a spec that the emitters cannot be asked with (`ImpossibleValue`).
 
-    Also where pyribs is not installed (`MissingPackage`). Emitters share the population, and are told before
-    they are asked again.
+    Emitters share the population, and are told before they are asked again.
     """
-    check_packages(f"The method {spec.method}", "ribs")
     if spec.population % EMITTERS or spec.population < 2 * EMITTERS:
         expected = (
             f"a multiple of {EMITTERS}, at least {2 * EMITTERS}, for {spec.method} ({EMITTERS} emitters)"

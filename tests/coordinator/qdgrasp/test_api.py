@@ -185,3 +185,17 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
 def test_what_is_no_path_is_refused(path: Any) -> None:
     with pytest.raises(ImpossibleValue, match="path must be a path"):
         qdgrasp.open(path)
+
+
+def test_an_archive_of_pyribs_has_the_best_success_of_each_cell(tmp_path: Path) -> None:
+    record(tmp_path / "run", made_scene(), random_rows(300), evaluations=300)
+    run = qdgrasp.open(tmp_path / "run")
+    archive, rows = run.archive(), run.grasps(min_fitness=0).rows
+    cells = np.rint(100 * rows["descriptor"][:, :3].astype(np.float64)).astype(int)
+    best = {}
+    for cell, fitness in zip(map(tuple, cells.tolist()), rows["fitness"].tolist(), strict=True):
+        best[cell] = max(fitness, best.get(cell, 0))
+    kept = {tuple(np.rint(100 * one["measures"]).astype(int).tolist()): one["objective"] for one in archive}
+    assert kept
+    assert kept.items() <= best.items()
+    assert len(archive.data(return_type="pandas")) == len(kept)
