@@ -23,8 +23,7 @@ NEWER_FORMAT = (
     4  # For scenes that name an engine, or whose trials disturb `physical`; others keep their bytes
 )
 REACHED_FORMAT = 5  # Version for scenes with an approach or a table
-OLD_FORMAT = 2  # Version of scenes of 0.1.0; the fields that they lack have their defaults
-FORMATS = (OLD_FORMAT, FORMAT, NEWER_FORMAT, REACHED_FORMAT)
+FORMATS = (FORMAT, NEWER_FORMAT, REACHED_FORMAT)
 
 
 class Joint(Struct, frozen=True, kw_only=True):
@@ -244,11 +243,6 @@ def unpack_scene(payload: bytes) -> Scene:
         if came not in FORMATS:
             known = " and ".join(map(str, FORMATS))
             raise MessageError(f"it is of format {came}, this version of qdgrasp reads the formats {known}")
-        if came < NEWER_FORMAT and values.get("base") == "physical":
-            raise MessageError(
-                "its trials of 'physical' are those of a version in which the hand did not come along its "
-                "approach axis; begin the run anew"
-            )
         return msgspec.convert(values, Scene)
     except (ValueError, msgpack.UnpackException, msgspec.ValidationError) as error:
         raise MessageError(f"not a scene bundle: {error}") from None

@@ -1,17 +1,12 @@
-import shutil
 import subprocess
 import sys
-from pathlib import Path
 
-import msgpack
 import numpy as np
 import pytest
 import trimesh
 from msgspec.structs import replace
-from tests.assets.test_stand_ins import PUBLISHED
 
 from qdgrasp_assets import catalog
-from qdgrasp_assets.asset_paths import cache_folder
 from qdgrasp_assets.catalog import (
     build_scene,
     carried_hand,
@@ -21,10 +16,10 @@ from qdgrasp_assets.catalog import (
     gripper_names,
     object_names,
 )
-from qdgrasp_assets.scene import pack_scene, unpack_scene
-from qdgrasp_protocol.errors import AssetError, MessageError, UnknownName
+from qdgrasp_assets.scene import pack_scene
+from qdgrasp_assets.stand_ins import STAND_INS
+from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue
 
 DIGEST = """
 import sys
@@ -35,7 +30,6 @@ for name in sys.argv[1:]:
     for protocol in ("paper", "released"):
         print(pack_scene(build_scene(RunSpec(gripper="panda", object=name, protocol=protocol))).digest)
 """
-STAND_INS = tuple(sorted(PUBLISHED))
 
 
 def scene(**values):
@@ -53,40 +47,6 @@ def test_a_scene_is_the_same_bytes_in_a_fresh_process():
     )
     assert fresh.stdout.split() == here
     assert len(set(here)) == len(here)
-
-
-def test_a_scene_survives_its_bundle():
-    made = scene()
-    assert unpack_scene(pack_scene(made).payload) == made
-
-
-def test_a_bundle_that_was_packed_before_hands_had_ratings_is_read():
-    made = scene()
-    values = msgpack.unpackb(pack_scene(made).payload)
-    del values["gripper"]["disabled_collisions"]
-    for joint in values["gripper"]["joints"]:
-        del joint["rated_effort"], joint["rated_velocity"]
-    assert unpack_scene(msgpack.packb(values)) == made
-
-
-def test_a_bundle_whose_trials_did_not_come_along_the_approach_axis_is_refused():
-    values = msgpack.unpackb(pack_scene(scene(protocol="robust", base="physical")).payload)
-    assert unpack_scene(msgpack.packb(values)).base == "physical"
-    with pytest.raises(MessageError, match="begin the run anew"):
-        unpack_scene(msgpack.packb(values | {"format": 3}))
-
-
-def test_the_surface_seed_is_part_of_the_scene():
-    assert scene(surface_seed=1).points != scene(surface_seed=0).points
-
-
-def test_a_cloud_lies_on_the_mesh_that_the_scene_holds():
-    made = scene()
-    vertices = np.frombuffer(made.object.mesh_vertices, "<f4").reshape(-1, 3)
-    assert vertices.min(axis=0) == pytest.approx(made.object_low)
-    assert vertices.max(axis=0) == pytest.approx(made.object_high)
-    assert (made.surface_points >= np.float32(made.object_low) - 1e-6).all()
-    assert len(made.surface_points) == len(made.surface_normals)
 
 
 def test_mass_and_friction_of_the_spec_win():
@@ -122,30 +82,6 @@ def test_a_scale_is_that_of_the_mesh_file_and_told_by_the_scene(tmp_path):
     assert scene(object=str(same), mass=0.3).object.source == "bar.stl"
 
 
-def test_a_home_of_nobody_is_no_home():
-    with pytest.raises(AssetError, match=r"No mesh file at '~nobody-of-that-name/part\.stl'"):
-        scene(object="~nobody-of-that-name/part.stl", mass=0.3)
-
-
-def test_a_cache_in_a_home_that_is_not_there_is_refused(monkeypatch):
-    monkeypatch.setenv("QDGRASP_CACHE", "~nobody-of-that-name/cache")
-    with pytest.raises(
-        AssetError, match="no home folder for '~nobody-of-that-name/cache': set QDGRASP_CACHE"
-    ):
-        cache_folder()
-    monkeypatch.setenv("QDGRASP_CACHE", ".")
-    assert cache_folder() == Path()
-
-
-def test_without_a_home_objects_of_the_catalog_are_listed_and_simulated(monkeypatch):
-    for variable in ("QDGRASP_CACHE", "QDGRASP_DATA"):
-        monkeypatch.setenv(variable, "~nobody-of-that-name/folder")
-    monkeypatch.delenv("QDGRASP_ASSET_PATH", raising=False)
-    assert {entry.source for entry in every_object()} == {"built in", "absent"}
-    queue = CampaignRunQueue(None, {"run": RunSpec(gripper="panda", object="mug")})
-    assert queue.next().run == "run"
-
-
 def test_an_object_of_the_catalog_has_its_own_size():
     sentence = r"'mug' of the catalog has its own size: leave --scale and --units out"
     with pytest.raises(AssetError, match=sentence):
@@ -168,15 +104,9 @@ def test_the_catalog_lists_what_is_there(monkeypatch, tmp_path):
     monkeypatch.setenv("QDGRASP_ASSET_PATH", str(tmp_path))
     assert "panda" in gripper_names()
     assert not any(name.startswith("ref_") for name in gripper_names())
-    assert object_names() == STAND_INS
+    assert object_names() == tuple(STAND_INS)
     here = [entry for entry in (*every_gripper(), *every_object()) if entry.is_there]
     assert all(entry.source == "built in" and entry.licence for entry in here)
-
-
-def test_the_catalog_lists_the_reference_data(asset_path):
-    assert set(gripper_names()) > {"panda", "ref_panda_2f"}
-    assert len(object_names()) == 20
-    assert {entry.source for entry in every_object() if entry.is_there} == {"built in", "asset path"}
 
 
 def test_a_reference_scene_is_the_same_bytes_again(asset_path):
@@ -216,31 +146,6 @@ def test_a_hand_is_read_once_for_each_protocol_until_one_of_its_files_changes(mo
     mesh.unlink()
     with pytest.raises(AssetError, match=r"palm\.stl"):
         carried_hand(spec)
-
-
-def test_a_hand_whose_files_have_just_changed_is_read_again(monkeypatch, claw):
-    read, spec = counted_reads(monkeypatch), RunSpec(gripper=str(claw), object="mug")
-    assert carried_hand(spec) == carried_hand(spec)
-    assert len(read) == 2
-
-
-def test_a_hand_is_read_again_where_another_asset_path_has_another_one(monkeypatch, tmp_path, claw):
-    monkeypatch.setattr(catalog, "SETTLED", 0)
-    claw.write_text(claw.read_text().replace('"claw.urdf"', '"asset://claw.urdf"'))
-    nearer, farther = tmp_path / "nearer", tmp_path / "farther"
-    for folder in (nearer, farther):
-        folder.mkdir()
-        shutil.copy(tmp_path / "palm.stl", folder)
-    shutil.copy(tmp_path / "claw.urdf", farther)
-    monkeypatch.setenv("QDGRASP_ASSET_PATH", f"{nearer}:{farther}")
-    read, spec = counted_reads(monkeypatch), RunSpec(gripper=str(claw), object="mug")
-    carried_hand(spec)
-    urdf = (farther / "claw.urdf").read_text()
-    (nearer / "claw.urdf").write_text(urdf.replace('value="0.1"', 'value="0.3"'))
-    assert 'value="0.3"' in carried_hand(spec).urdf
-    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(farther))
-    assert 'value="0.1"' in carried_hand(spec).urdf
-    assert len(read) == 3
 
 
 def test_the_worker_needs_no_geometry_library():

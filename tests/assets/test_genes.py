@@ -1,17 +1,13 @@
 """Genes of priors, and the boxes to which they bring the hand."""
 
-import numpy as np
 import pytest
 from tests.common import with_gripper
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import (
-    PRIOR_FEATURES,
     PRIOR_GENES,
-    RANKING_GENES,
     VALUE_FEATURES,
     archive_box,
-    descriptors,
     layout,
     spherical_radius,
 )
@@ -68,33 +64,10 @@ def test_the_search_radius_is_that_of_the_released_code_but_for_the_margins_of_b
         assert expected - 0.018 < radius < expected, (gripper, radius)
 
 
-def test_positions_about_the_object_are_kept_within_its_box_and_the_reach(cube) -> None:
-    for prior in ("aimed", "antipodal", "approach", "contact", "valued"):
-        low, high = archive_box(cube, prior)
-        np.testing.assert_allclose(low, np.array(cube.object_low) - 0.112)
-        np.testing.assert_allclose(high, np.array(cube.object_high) + 0.112)
-
-
 def test_spherical_positions_are_kept_within_the_ball_about_the_centre_of_mass(cube) -> None:
     low, high = archive_box(cube, "spherical")
     assert set(high) == set(-low) == {spherical_radius(cube)}
     assert layout(cube, "spherical").genes[0].high == high[0]
-
-
-def test_the_target_of_aimed_may_be_anywhere_in_the_box_of_its_archive(cube) -> None:
-    genes = layout(cube, "aimed").genes[:3]
-    low, high = archive_box(cube, "aimed")
-    assert [gene.low for gene in genes] == low.tolist()
-    assert [gene.high for gene in genes] == high.tolist()
-
-
-def test_what_ranks_candidates_by_features_describes_a_pose_by_them_too() -> None:
-    assert {prior: descriptors(prior) for prior in RANKING_GENES} == {"aimed": 9, "valued": 16}
-    assert {descriptors(prior) for prior in PRIOR_GENES if prior not in PRIOR_FEATURES} == {3}
-
-
-def test_the_genes_that_rank_candidates_are_the_last_ones_of_their_prior(cube) -> None:
-    assert {prior: len(NAMES[prior]) - len(AIM) for prior in RANKING_GENES} == RANKING_GENES
 
 
 def test_a_hand_without_a_jaw_has_no_antipodal_genes(cube) -> None:

@@ -1,7 +1,6 @@
 """Mesh files as objects: accepted, repaired, or refused in one sentence."""
 
 import logging
-import os
 from itertools import pairwise
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_assets.object_model import read_draft, read_object, read_solid, solid_draft
+from qdgrasp_assets.object_model import read_draft, read_object, read_solid
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
 
@@ -131,31 +130,3 @@ def test_a_mesh_that_is_no_solid_is_refused(tmp_path, mesh, sentence):
     with pytest.raises(AssetError, match=sentence) as refused:
         read_solid(write(tmp_path / "part.ply", mesh))
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize("asked", [{"remesh": True}, {"hull": True}, {"simplify": 10}], ids=str)
-def test_a_mesh_without_area_is_refused_before_it_is_changed(tmp_path, asked):
-    line = trimesh.Trimesh([(0, 0, 0), (1, 0, 0), (2, 0, 0)], [(0, 1, 2)], process=False)
-    with pytest.raises(AssetError):
-        solid_draft(write(tmp_path / "part.ply", line), preparation=MeshPreparation(**asked))
-
-
-def test_a_mesh_that_may_not_be_read_is_refused_in_a_sentence(tmp_path, monkeypatch):
-    path = write(tmp_path / "part.stl", block())
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(AssetError, match=r"part\.stl'.* may not be read"):
-        solid_draft(path)
-
-
-def test_all_that_is_wrong_is_said_at_once(tmp_path):
-    sentence = r"cannot be used: it is 20 x .* add --units mm; and it is not closed"
-    with pytest.raises(AssetError, match=sentence):
-        read_solid(write(tmp_path / "part.ply", open_block().apply_scale(1000)))
-
-
-def test_a_mesh_of_millions_of_triangles_is_refused_before_anything_is_done_with_it(tmp_path, monkeypatch):
-    monkeypatch.setattr("qdgrasp_assets.geometry.mesh_repair.MOST_TRIANGLES", 1000)
-    monkeypatch.setattr("qdgrasp_assets.object_model.MOST_TRIANGLES", 1000)
-    path = write(tmp_path / "ball.stl", trimesh.creation.icosphere(subdivisions=4, radius=0.03))
-    with pytest.raises(AssetError, match=r"has 5120 triangles, and at most 1000 are taken; simplify it"):
-        read_solid(path)

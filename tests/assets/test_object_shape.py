@@ -2,11 +2,9 @@
 
 import hashlib
 import json
-import logging
 import os
 import re
 import shutil
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +21,6 @@ from qdgrasp_assets.geometry import collision_parts
 from qdgrasp_assets.geometry.collision_parts import ProcessLimits
 from qdgrasp_assets.geometry.mesh import parts_to_obj
 from qdgrasp_assets.geometry.surface_points import SURFACES
-from qdgrasp_assets.mesh_check import check_mesh
 from qdgrasp_assets.object_model import read_object
 from qdgrasp_assets.object_shape import (
     FLEET_LIMITS,
@@ -142,19 +139,6 @@ def scene_of_model(spec: RunSpec) -> Scene:
     )
 
 
-def test_each_slow_step_of_a_scene_is_told_once_and_none_where_the_shape_lies_in_the_store(tmp_path) -> None:
-    told: list[str] = []
-    build_scene(mesh_spec(tmp_path), told.append)
-    assert told == [
-        "reading the mesh block.stl",
-        "looking whether the hull of block.stl will do",
-        "comparing 1 convex part with the surface of block.stl",
-        "drawing surface points of block.stl",
-    ]
-    build_scene(mesh_spec(tmp_path), told.append)
-    assert len(told) == 4
-
-
 SPECS: dict[str, tuple[str, Changes]] = {
     "plain": ("block", {"friction": 0.7}),
     "scaled, decomposed": ("angle", {"scale": 0.5, "about": ObjectRecord(id="an angle", source="acme")}),
@@ -181,19 +165,6 @@ def test_a_scene_has_the_same_bytes_whether_its_shape_is_built_here_or_elsewhere
     assert not (tmp_path / "another").exists()
 
 
-def test_files_of_another_name_and_objects_of_another_mass_share_a_shape(tmp_path):
-    spec = mesh_spec(tmp_path)
-    (tmp_path / "other").mkdir()
-    copy = shutil.copy(spec.object, tmp_path / "other" / "copy.STL")
-    others: Changes = {"mass": 2.0, "friction": 0.1, "about": ObjectRecord(id="z"), "gripper": "barrett"}
-    other = msgspec.structs.replace(
-        spec, object=str(copy), protocol="robust", seed=7, evaluations=5, **others
-    )
-    assert shape_task(spec) == shape_task(other)
-    made = assemble_scene(other, built_elsewhere(spec, tmp_path / "elsewhere")).object
-    assert (made.name, made.source, made.mass, made.lateral_friction) == ("z", "copy.STL", 2.0, 0.1)
-
-
 OTHERS: dict[str, Changes] = {
     "scale": {"scale": 1.0},
     "changes": {"mesh": MeshPreparation(hull=True)},
@@ -214,38 +185,6 @@ def test_the_key_is_another_for_all_that_the_shape_depends_on(tmp_path, monkeypa
     tasks.append(shape_task(spec))
     assert all(tasks)
     assert len({task.key for task in tasks if task}) == len(tasks)
-
-
-UNSAFE = (
-    "",
-    ".",
-    "..",
-    "/a",
-    "../a",
-    "a/..",
-    "a/../b",
-    "a//b",
-    "a/",
-    "./a",
-    "a\\b",
-    "a\nb",
-    "a\0b",
-    "x" * 201,
-)
-
-
-@pytest.mark.parametrize("name", UNSAFE)
-def test_a_file_whose_name_leads_out_of_its_folder_is_in_no_task(tmp_path, name):
-    values = msgspec.to_builtins(shape_task(mesh_spec(tmp_path)))
-    for good in ("mesh.stl", "a/b.bin", "..a", "a b.bin"):
-        msgspec.convert(values | {"files": [values["files"][0] | {"name": good}]}, ShapeTask)
-    with pytest.raises(msgspec.ValidationError, match=r"files\[0\]\.name"):
-        msgspec.convert(values | {"files": [values["files"][0] | {"name": name}]}, ShapeTask)
-
-
-def test_what_is_in_the_catalog_has_no_task():
-    for name in ("mug", "ycb_mug"):
-        assert shape_task(RunSpec(gripper="panda", object=name)) is None
 
 
 def buffered(folder: Path, uri: str = "gltf_buffer_0.bin") -> RunSpec:
@@ -281,26 +220,6 @@ def test_a_mesh_whose_files_no_other_folder_can_have_has_no_task(tmp_path, uri):
     assert shape_task(buffered(tmp_path, uri.format(folder=tmp_path))) is None
 
 
-def test_a_mesh_reads_no_file_outside_its_folder(tmp_path):
-    (tmp_path / "inner").mkdir()
-    spec = buffered(tmp_path / "inner", "../secret.bin")
-    shutil.move(tmp_path / "inner" / "gltf_buffer_0.bin", tmp_path / "secret.bin")
-    with pytest.raises(AssetError, match=r"cannot be read as \.gltf"):
-        build_scene(spec)
-
-
-def test_materials_play_no_part(tmp_path):
-    block = trimesh.creation.box(SIDES)
-    lines = ["mtllib materials.mtl", *(f"v {x} {y} {z}\nvt {x} {y}" for x, y, z in block.vertices)]
-    for number, (a, b, c) in enumerate(block.faces + 1):
-        lines += [f"usemtl {('red', 'blue')[number % 2]}", f"f {a}/{a} {b}/{b} {c}/{c}"]
-    (tmp_path / "part.obj").write_text("\n".join(lines))
-    (tmp_path / "materials.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\n")
-    spec = mesh_spec(tmp_path, "part", ".obj")
-    shape = built_elsewhere(spec, tmp_path / "elsewhere")
-    assert pack_scene(assemble_scene(spec, shape)) == pack_scene(build_scene(spec))
-
-
 def test_a_shape_is_built_of_the_files_of_its_task_by_its_code_alone(tmp_path):
     spec = mesh_spec(tmp_path)
     task = shape_task(spec)
@@ -314,37 +233,6 @@ def test_a_shape_is_built_of_the_files_of_its_task_by_its_code_alone(tmp_path):
         build_shape(task, folder)
 
 
-def test_warnings_are_said_again_when_the_shape_is_known(tmp_path, caplog):
-    split_block, sheet = mesh_spec(tmp_path, "split"), mesh_spec(tmp_path, "sheet")
-    said = []
-    for _ in range(2):
-        caplog.clear()
-        with caplog.at_level(logging.WARNING):
-            build_scene(split_block)
-            build_scene(sheet)
-        said.append(caplog.messages)
-    assert said[0] == said[1]
-    repaired, thin = said[0]
-    assert "was repaired: " in repaired
-    assert "of walls thinner than 2 mm" in thin
-
-
-def test_a_file_of_two_bodies_is_refused_alike_wherever_it_is_asked_for(tmp_path):
-    spec = mesh_spec(tmp_path, "apart")
-    task = shape_task(spec)
-    assert task is not None
-    words = r"it is of bodies with about 0\.002 m of air between them"
-    for refuse in (
-        lambda: build_scene(spec),
-        lambda: build_shape(task, folder_of(task, spec, tmp_path / "elsewhere")),
-    ):
-        with pytest.raises(AssetError, match=words):
-            refuse()
-    assert re.search(words, check_mesh(Path(spec.object)).faults[0])
-    glued = msgspec.structs.replace(spec, mesh=MeshPreparation(glued=True))
-    assert build_scene(glued).object.source == "apart.stl (glued)"
-
-
 def test_a_shape_warns_of_sheets_and_beads_that_the_simulator_does_not_resolve(tmp_path):
     warnings = {
         name: built_elsewhere(mesh_spec(tmp_path, name), tmp_path / f"at {name}").warning
@@ -354,16 +242,6 @@ def test_a_shape_warns_of_sheets_and_beads_that_the_simulator_does_not_resolve(t
     assert re.match(r"9\d % of its surface is of walls thinner than 2 mm", warnings["sheet"])
     assert "it is 4.0 mm large, smaller than the cells of 10 mm" in warnings["bead"]
     assert "as if it were 6.0 mm large" in warnings["bead"]
-
-
-def test_a_known_shape_still_needs_a_mass_and_a_file(tmp_path):
-    spec = mesh_spec(tmp_path)
-    build_scene(spec)
-    with pytest.raises(AssetError, match="has no mass"):
-        build_scene(msgspec.structs.replace(spec, mass=None))
-    Path(spec.object).unlink()
-    with pytest.raises(AssetError, match="No mesh file at"):
-        build_scene(spec)
 
 
 def test_parts_for_which_time_ran_out_are_not_kept(tmp_path, cache, monkeypatch):
@@ -383,13 +261,6 @@ def test_parts_for_which_time_ran_out_are_not_kept(tmp_path, cache, monkeypatch)
 def block(tmp_path_factory: pytest.TempPathFactory) -> ObjectShape:
     folder = tmp_path_factory.mktemp("block")
     return built_elsewhere(mesh_spec(folder), folder / "elsewhere")
-
-
-def test_bytes_of_a_shape_are_canonical(block):
-    payload = pack_shape(block)
-    assert unpack_shape(payload) == block
-    assert list(msgpack.unpackb(payload)) == sorted(msgspec.structs.asdict(block))
-    assert pack_shape(unpack_shape(payload)) == payload
 
 
 def array(*values: float, kind: str = "<f4") -> bytes:
@@ -427,18 +298,6 @@ def test_a_shape_that_cannot_be_used_is_refused(block, values):
         unpack_shape(msgpack.packb(whole | values if values else [1]))
 
 
-def test_a_part_has_vertices_of_its_own(block):
-    part = block.collision
-    faces = [line.split()[1:] for line in part.splitlines() if line.startswith(b"f ")]
-    moved = b"".join(b"f %d %d %d\n" % tuple(int(corner) + 8 for corner in face) for face in faces)
-    second = part[: part.index(b"f ")] + moved
-    two = msgspec.structs.replace(block, collision=part + second)
-    assert unpack_shape(pack_shape(two)) == two
-    for text in (part + part, second, part[: part.index(b"f ")], part.replace(b"f 1", b"f 0")):
-        with pytest.raises(MessageError, match="convex parts"):
-            unpack_shape(pack_shape(msgspec.structs.replace(block, collision=text)))
-
-
 def test_bytes_that_are_no_shape_are_refused(block):
     payload = pack_shape(block)
     too_large = bytes(object_shape.MAX_SHAPE + 1)
@@ -464,22 +323,6 @@ def test_a_store_gives_back_what_is_whole(block, cache):
     assert store.get(KEYS[0]) == block
 
 
-def test_what_is_no_shape_is_not_given_back_though_it_was_kept(cache):
-    store = ShapeStore()
-    store.put(KEYS[0], b"no shape")
-    assert store.get(KEYS[0]) is None
-
-
-def test_a_store_that_cannot_be_written_or_read_is_no_error(block, tmp_path, monkeypatch):
-    (tmp_path / "file").touch()
-    store = ShapeStore(tmp_path / "file")
-    store.put(KEYS[0], pack_shape(block))
-    assert store.get(KEYS[0]) is None
-    spec = mesh_spec(tmp_path)
-    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "file"))
-    assert build_scene(spec).object.collision_source == "own hull"
-
-
 def test_a_full_store_loses_what_was_not_used_for_longest(block, tmp_path, monkeypatch):
     payload = pack_shape(block)
     monkeypatch.setattr(ShapeStore, "SWEPT", 1)
@@ -495,23 +338,3 @@ def test_a_full_store_loses_what_was_not_used_for_longest(block, tmp_path, monke
     store.put(KEYS[3], payload)
     assert [store.get(key) is not None for key in KEYS] == [True, False, True, True]
     assert (abandoned.exists(), recent.exists()) == (False, True)
-
-
-def test_several_may_write_and_read_a_store_at_once(block, tmp_path, monkeypatch):
-    payload, seen = pack_shape(block), list[ObjectShape | None]()
-    monkeypatch.setattr(ShapeStore, "SWEPT", 1)
-
-    def use() -> None:
-        store = ShapeStore(tmp_path, most_bytes=2 * len(payload))
-        for key in KEYS * 10:
-            store.put(key, payload)
-            seen.append(store.get(key))
-
-    threads = [threading.Thread(target=use) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(seen) == 160
-    assert {shape for shape in seen if shape is not None} == {block}
-    assert all(file.suffix == ".shape" for file in tmp_path.iterdir())

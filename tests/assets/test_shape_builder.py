@@ -8,11 +8,9 @@ import msgspec
 import pytest
 from tests.assets.test_object_shape import folder_of, mesh_spec
 
-from qdgrasp_assets.mesh_check import check_mesh
 from qdgrasp_assets.object_shape import build_shape, pack_shape, shape_task
 from qdgrasp_assets.shape_builder import FAILED, UNUSABLE
 from qdgrasp_protocol.build_messages import ShapeTask
-from qdgrasp_protocol.errors import NoDataFolder
 
 MEMORY = 1 << 29
 GREEDY = f"bytearray({2 * MEMORY})"
@@ -93,16 +91,6 @@ def test_a_mesh_that_this_machine_alone_cannot_build_is_left_to_others(tmp_path,
     code, said, faults = ShapeBuild(tmp_path, "block").ended(build)
     assert (code, said) == (FAILED, "")
     assert faults.startswith(reason)
-
-
-def test_a_machine_without_a_home_leaves_a_mesh_to_others(tmp_path, monkeypatch):
-    block = ShapeBuild(tmp_path, "block")
-    monkeypatch.setenv("QDGRASP_CACHE", "~nobody-of-that-name/cache")
-    code, _, faults = block.ended()
-    assert code == FAILED
-    assert "no home folder" in faults
-    with pytest.raises(NoDataFolder):  # and it is no fault of the mesh
-        check_mesh(tmp_path / "mesh.stl")
 
 
 def test_it_ends_with_the_process_that_started_it(tmp_path):

@@ -1,7 +1,6 @@
 """The rule by which convex parts are chosen."""
 
 import logging
-import re
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from qdgrasp_assets.geometry.collision_parts import (
     COACD_THRESHOLDS,
     CORNER_TOLERANCE,
     MOST_CORNERS,
-    DecompositionFailure,
     DecompositionTimeout,
     FingerClearance,
     ProcessLimits,
@@ -21,12 +19,10 @@ from qdgrasp_assets.geometry.collision_parts import (
     decompose,
     limited_parts,
     simplify_part,
-    solid_parts,
 )
-from qdgrasp_assets.geometry.mesh import Mesh, join, parts_to_obj
+from qdgrasp_assets.geometry.mesh import Mesh, parts_to_obj
 from qdgrasp_assets.geometry.primitives import box, geodesic, heights, hull
-from qdgrasp_assets.geometry.proximity import ray_distance
-from qdgrasp_assets.stand_ins import HANDLE_PATH, mug
+from qdgrasp_assets.stand_ins import mug
 from qdgrasp_protocol.errors import AssetError
 
 CORNERS = [(0, 0), (0.06, 0), (0.06, 0.02), (0.02, 0.02), (0.02, 0.06), (0, 0.06)]
@@ -99,12 +95,6 @@ def found(monkeypatch):
     return answers
 
 
-def test_a_mesh_that_is_nearly_convex_is_its_own_part(cache):
-    assert bowed().volume < 0.9975 * box((0.1, 0.1, 0.1)).volume
-    source, (part,) = collision_parts(bowed(), "dented")
-    assert (source, len(part.vertices)) == ("own hull", 8)
-
-
 def test_a_mesh_that_is_not_convex_is_decomposed_once(angle, cache, caplog, monkeypatch):
     with caplog.at_level(logging.WARNING):
         parts = convex_parts(angle, "angle.stl")
@@ -151,33 +141,6 @@ def test_where_coacd_cannot_keep_its_limits_the_own_hull_is_taken_and_says_why(
     assert fit.filled > 0.1
 
 
-@pytest.mark.parametrize(
-    ("error", "words"),
-    [
-        (DecompositionTimeout("mug", 1.0), "took more than 60 s"),
-        (DecompositionFailure("mug", -6, "terminate called: std::bad_alloc"), "took more than 1.0 GB"),
-        (DecompositionFailure("mug", -11, ""), "failed"),
-    ],
-)
-def test_where_finer_parts_cannot_be_had_the_finest_found_are_taken(found, error, words):
-    surface, own = mug()
-    found.update({COACD_THRESHOLDS[0]: own[:-8], COACD_THRESHOLDS[1]: error})
-    source, parts, fit = limited_parts(surface, WIDE_LIMITS)
-    assert source == f"coacd, coarse: finer parts {words}"
-    assert parts == own[:-8]
-    assert not fit.is_good
-
-
-def test_the_limit_of_time_is_for_all_attempts(found, monkeypatch):
-    surface, own = mug()
-    found.update(dict.fromkeys(COACD_THRESHOLDS[:2], own[:-8]))
-    clock = iter([0.0, 50.0, 50.0, 110.0])
-    monkeypatch.setattr(module, "_children_seconds", lambda: next(clock, 110.0))
-    source, parts, _ = limited_parts(surface, WIDE_LIMITS)
-    assert source == "coacd, coarse: finer parts took more than 60 s"
-    assert parts == own[:-8]
-
-
 @pytest.mark.slow
 def test_a_mug_keeps_its_hollow_and_the_eye_of_its_handle():
     surface, own = mug()
@@ -194,16 +157,6 @@ def test_the_coarsest_parts_that_fit_are_taken(found):
     surface, own = mug()
     found.update({COACD_THRESHOLDS[0]: (hull(surface.vertices),), COACD_THRESHOLDS[1]: own})
     assert len(convex_parts(surface, "mug")) == len(own)
-
-
-def test_others_can_read_the_parts_that_are_kept(found, cache):
-    surface, own = mug()
-    found[COACD_THRESHOLDS[0]] = own
-    convex_parts(surface, "mug")
-    kept = kept_in(cache)
-    written = cache / "written"
-    written.touch()
-    assert kept.stat().st_mode == written.stat().st_mode
 
 
 DAMAGE = {
@@ -231,24 +184,6 @@ def test_parts_that_are_not_whole_are_made_again_with_a_word(found, angle, cache
     assert kept.read_bytes() == whole
 
 
-def test_the_line_that_shows_that_parts_are_whole_is_none_of_them(found, angle, cache):
-    found[COACD_THRESHOLDS[0]] = HALVES
-    parts = convex_parts(angle, "angle")
-    content = kept_in(cache).read_bytes()
-    assert content.startswith(parts_to_obj(parts))
-    assert re.fullmatch(rb"# sha256 [0-9a-f]{64}\n", content.removeprefix(parts_to_obj(parts)))
-    assert available_parts(angle) is not None
-
-
-def test_where_none_fit_the_finest_are_taken_with_a_warning(found, caplog):
-    surface, own = mug()
-    found.update(dict.fromkeys(COACD_THRESHOLDS, (hull(surface.vertices),)))
-    found[COACD_THRESHOLDS[-1]] = own[:-8]
-    with caplog.at_level(logging.WARNING):
-        assert len(convex_parts(surface, "mug")) == len(own) - 8
-    assert "finer ones are not tried" in caplog.text
-
-
 def test_where_time_runs_out_the_finest_found_serve_this_process_and_the_next_one_tries_again(
     found, cache, caplog, monkeypatch
 ):
@@ -273,13 +208,6 @@ def test_a_decomposition_that_takes_too_long_is_an_error_that_says_what_to_do(an
     assert not list((cache / "convex").iterdir())
 
 
-def test_a_cache_that_cannot_be_written_is_named(angle, tmp_path, monkeypatch):
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "file"))
-    with pytest.raises(AssetError, match=r"cannot be kept in '.*file.*'.*QDGRASP_CACHE"):
-        convex_parts(angle, "angle.stl")
-
-
 @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 1, 2), (1, 1, 0.1)])
 def test_no_corner_that_is_left_out_was_far_outside_and_none_is_added(scale) -> None:
     ball = geodesic(0.01, 8)
@@ -289,68 +217,6 @@ def test_no_corner_that_is_left_out_was_far_outside_and_none_is_added(scale) -> 
     assert heights(part, round_part.vertices).max() <= CORNER_TOLERANCE
     assert heights(round_part, part.vertices).max() < 1e-9
     assert trimesh.Trimesh(part.vertices, part.faces, process=False).is_volume
-
-
-def test_a_large_round_part_has_as_many_corners_as_there_may_be() -> None:
-    ball = geodesic(0.1, 8)
-    part = simplify_part(ball)
-    assert len(part.vertices) == MOST_CORNERS
-    assert heights(part, ball.vertices).max() < 4e-3
-
-
-def test_very_many_corners_are_looked_at_in_two_steps_and_none_far_outside_is_left_out(monkeypatch) -> None:
-    part = geodesic(0.004, 24)
-    monkeypatch.setattr(module, "MANY_CORNERS", 1000)
-    found = simplify_part(part)
-    assert len(found.vertices) < module.MOST_CORNERS
-    assert heights(found, part.vertices).max() <= module.CORNER_TOLERANCE
-
-
-def test_points_are_within_a_part_of_many_faces_as_within_one_of_few(monkeypatch) -> None:
-    part, points = geodesic(0.04, 16), np.random.default_rng(0).uniform(-0.045, 0.045, (2000, 3))
-    plain = module.is_within(part, points, 1e-3)
-    monkeypatch.setattr(module, "MANY_FACES", 1000)
-    monkeypatch.setattr(module, "SOME_FACES", 50)
-    np.testing.assert_array_equal(module.is_within(part, points, 1e-3), plain)
-    assert 0 < plain.sum() < len(points)
-
-
-def test_a_small_part_has_fewer_corners_than_a_large_one() -> None:
-    small, large = (simplify_part(geodesic(radius, 8)) for radius in (0.005, 0.05))
-    assert len(small.vertices) < len(large.vertices) / 2
-
-
-def test_a_box_stays_as_it_is() -> None:
-    solid = box((0.1, 0.02, 0.3))
-    assert len(simplify_part(solid).vertices) == 8
-    assert simplify_part(solid).volume == pytest.approx(solid.volume)
-
-
-def test_a_flat_part_fills_no_room_and_is_left_out() -> None:
-    solid = box((0.1, 0.02, 0.3))
-    (part,) = solid_parts([solid.vertices * (1, 1, 0), solid.vertices])
-    assert part.volume == pytest.approx(solid.volume)
-
-
-def test_a_part_whose_outermost_corners_are_in_one_plane_stays_a_solid() -> None:
-    corners = np.array([(0, 0, 0), (1, 1, 0.5), (0.5, 0.5, 1), (0.6, 0.4, 0.5)]) * 0.1
-    assert simplify_part(hull(corners)).volume == pytest.approx(hull(corners).volume)
-
-
-TALKATIVE = """
-import sys
-
-print("a remark\\n" * 50_000, file=sys.stderr)
-sys.exit("no such mesh")
-"""
-
-
-def test_what_says_more_than_a_pipe_holds_comes_to_its_end(tmp_path, monkeypatch) -> None:
-    (tmp_path / "talkative.py").write_text(TALKATIVE)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(module.__spec__, "name", "talkative")
-    with pytest.raises(AssetError, match=r"mesh 'mug' .*exit code 1\): .*no such mesh"):
-        decompose(box((0.1, 0.1, 0.1)), "mug", 0.1, time_limit=60.0)
 
 
 def test_coacd_is_given_a_dense_mesh_simplified(tmp_path, monkeypatch) -> None:
@@ -379,48 +245,8 @@ def cup():
     return mug()
 
 
-def fork(gap: float) -> Mesh:
-    """Two plates side by side."""
-    plate = box((0.01, 0.1, 0.1))
-    return join([plate.moved((0, 0, 0)), plate.moved((0.01 + gap, 0, 0))])
-
-
-def test_parts_that_enclose_the_same_space_leave_all_the_room(cup) -> None:
-    surface, parts = cup
-    fit = FingerClearance(surface).fit(parts)
-    assert fit.is_good
-    assert fit.filled < 0.001
-    assert fit.bare == 0
-
-
 def test_a_hull_fills_the_hollow_of_a_mug(cup) -> None:
     surface, _ = cup
     fit = FingerClearance(surface).fit((hull(surface.vertices),))
     assert not fit.is_good
     assert fit.filled > 0.4
-
-
-def test_a_plug_in_the_eye_of_a_handle_is_seen(cup) -> None:
-    surface, parts = cup
-    eye = hull(np.array([(x, y, z) for x, z in HANDLE_PATH for y in (-0.006, 0.006)]))
-    assert not FingerClearance(surface).fit((*parts, eye)).is_good
-
-
-def test_what_the_parts_leave_out_is_bare(cup) -> None:
-    surface, parts = cup
-    assert FingerClearance(surface).fit(parts[: len(parts) // 2]).bare > 0.1
-    assert not FingerClearance(surface).fit(parts[: len(parts) // 2]).is_good
-
-
-def test_a_gap_too_narrow_for_a_finger_is_no_room() -> None:
-    for gap, is_good in ((SLIT, True), (WIDE, False)):
-        plates = fork(gap)
-        assert FingerClearance(plates).fit((hull(plates.vertices),)).is_good is is_good
-
-
-def test_how_far_it_is_to_the_next_surface() -> None:
-    across, away = ray_distance(
-        fork(WIDE), np.array([[0.006, 0.01, 0.02], [-0.006, 0.01, 0.02]]), np.array([[1.0, 0, 0], [-1, 0, 0]])
-    )
-    assert across == pytest.approx(WIDE - 0.001, abs=1e-6)
-    assert away > 1.0

@@ -5,7 +5,6 @@ import os
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 import trimesh
 from tests.assets.special_files import PLACES, make_places
@@ -22,13 +21,10 @@ from qdgrasp_assets.geometry.mesh_io import (
 from qdgrasp_assets.geometry.primitives import box
 from qdgrasp_assets.mesh_check import check_mesh
 from qdgrasp_assets.object_model import read_draft, read_solid
-from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
 BLOCK = (0.02, 0.03, 0.05)
-MILLIMETRES = """<?xml version="1.0" encoding="utf-8"?>
-<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"/>"""
 
 
 @pytest.mark.parametrize(
@@ -70,13 +66,6 @@ def test_a_folder_is_told_from_a_file(tmp_path):
         read_mesh_file(tmp_path)
 
 
-def test_a_cloud_of_points_is_no_surface(tmp_path):
-    path = tmp_path / "cloud.ply"
-    trimesh.PointCloud(np.random.default_rng(0).random((9, 3))).export(path)
-    with pytest.raises(AssetError, match=r"has no triangles; an object needs a surface, and points or lines"):
-        read_mesh_file(path)
-
-
 @pytest.mark.parametrize(("unit", "flag"), [("millimeter", "--units mm"), ("0.1 * meters", "--scale 0.1")])
 def test_a_unit_that_the_file_states_is_to_be_said(tmp_path, monkeypatch, unit, flag):
     """As 3MF and Collada do, which need packages of their own."""
@@ -95,21 +84,6 @@ def test_what_is_written_is_read_again(tmp_path, suffix):
     draft = read_draft(path)
     assert (draft.repairs, draft.faults) == ((), ())
     assert draft.mesh.extents == pytest.approx(BLOCK)
-
-
-OTHERS = {"stl_ascii", "xyz"}
-"""Another name, and points alone."""
-
-
-def test_a_damaged_stl_is_told_for_what_it_is(tmp_path):
-    """Binary rubbish gives no advice about packages."""
-    path = tmp_path / "part.stl"
-    path.write_bytes(bytes(80) + b"\xff" * 4)
-    with pytest.raises(
-        AssetError, match=r"part\.stl' (is damaged|cannot be read|is empty, or no .stl file)"
-    ) as refused:
-        read_mesh_file(path)
-    assert "module" not in str(refused.value).lower()
 
 
 def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
@@ -162,38 +136,6 @@ def test_a_pipe_in_the_place_of_a_buffer_is_not_waited_for(tmp_path):
     sentence = r"'pipe\.stl', which it names, is no ordinary file; export it again"
     with pytest.raises(AssetError, match=sentence):
         read_mesh_file(buffered(tmp_path, "pipe.stl"))
-
-
-def test_a_pipe_in_the_place_of_materials_is_left_aside(tmp_path):
-    make_places(tmp_path)
-    text = trimesh.creation.box(BLOCK).export(file_type="obj")
-    (tmp_path / "part.obj").write_text(f"mtllib pipe.stl\nusemtl red\n{text}")
-    assert read_mesh_file(tmp_path / "part.obj").mesh.extents == pytest.approx(BLOCK)
-
-
-BOX_PLY = b"ply\nformat ascii 1.0\nelement vertex 8\n"
-GLB_HEAD = b"glTF\x02\0\0\0\x28\0\0\0"
-
-
-def test_a_large_mesh_is_simplified_where_that_is_asked_for(tmp_path, monkeypatch):
-    path = tmp_path / "ball.ply"
-    trimesh.creation.icosphere(subdivisions=4, radius=0.03).export(path)
-    monkeypatch.setattr("qdgrasp_assets.object_model.MOST_TRIANGLES", 1000)
-    found = read_draft(path, preparation=MeshPreparation(simplify=800))
-    assert (found.faults, found.repairs) == ((), ("simplified from 5120 to 800 triangles",))
-
-
-def test_a_file_that_could_not_be_read_is_checked_again(tmp_path, monkeypatch):
-    def failing(*_given, **_named):
-        raise MemoryError
-
-    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
-    file = tmp_path / "block.stl"
-    trimesh.creation.box(BLOCK).export(file)
-    with monkeypatch.context() as context:
-        context.setattr(trimesh, "load_scene", failing)
-        assert "MemoryError" in check_mesh(file).faults[0]
-    assert check_mesh(file).faults == ()
 
 
 def test_files_beside_a_gltf_are_part_of_its_content(tmp_path, monkeypatch):

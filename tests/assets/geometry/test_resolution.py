@@ -6,18 +6,9 @@ import trimesh
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.primitives import box
 from qdgrasp_assets.geometry.resolution import (
-    PART_MARGIN,
-    SMALLEST_SIDE,
     THINNEST,
-    resolution_notes,
     thin_share,
 )
-from qdgrasp_coordinator.metrics.cells import PER_METRE
-from qdgrasp_worker.engines.mujoco_model import HULL_MARGIN
-
-
-def test_walls_and_sides_are_measured_by_what_the_simulator_and_the_archives_resolve() -> None:
-    assert (PART_MARGIN, SMALLEST_SIDE) == (HULL_MARGIN, 1 / PER_METRE)
 
 
 @pytest.mark.parametrize(("thickness", "is_thin"), [(0.5 * THINNEST, True), (1.05 * THINNEST, False)])
@@ -30,7 +21,3 @@ def test_the_wall_of_a_tube_is_measured_through_the_wall() -> None:
     for wall, is_thin in ((0.001, True), (0.004, False)):
         tube = trimesh.creation.annulus(0.03 - wall, 0.03, 0.1, sections=64)
         assert (thin_share(Mesh(tube.vertices, tube.faces)) > 0.5) is is_thin
-
-
-def test_nothing_is_said_of_an_object_as_large_as_a_cell_with_few_thin_walls() -> None:
-    assert not [*resolution_notes(box((SMALLEST_SIDE,) * 3).extents, 0.05)]

@@ -5,7 +5,7 @@ import pytest
 
 from qdgrasp_assets.geometry.mesh import Mesh, parts_to_obj
 from qdgrasp_assets.geometry.primitives import box, geodesic
-from qdgrasp_assets.geometry.resting_poses import LEAST_PROBABILITY, resting_poses
+from qdgrasp_assets.geometry.resting_poses import resting_poses
 from qdgrasp_protocol.errors import AssetError
 
 
@@ -31,16 +31,6 @@ def test_a_cube_rests_on_each_side_alike_and_first_as_it_was_modelled():
     assert {pose.height for pose in poses} == {-0.02}
 
 
-def test_a_flat_box_rests_on_its_large_sides_and_a_thin_one_never_on_its_ends():
-    flat = poses_of(brick(0.08, 0.06, 0.02))
-    assert [pose.up for pose in flat[:2]] == [(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
-    assert [pose.height for pose in flat[:2]] == [-0.01, -0.01]
-    assert sum(pose.probability for pose in flat[:2]) > 0.7
-    stick = poses_of(brick(0.5, 0.01, 0.01))
-    assert not [pose for pose in stick if abs(pose.up[0]) > 0.5]
-    assert all(pose.probability >= LEAST_PROBABILITY for pose in stick)
-
-
 def test_an_object_comes_to_rest_on_its_heavy_side():
     tall = moved(brick(0.04, 0.04, 0.2), -0.03, 0.0, 0.0)
     with pytest.raises(AssetError, match="its centre of mass is not inside it"):
@@ -63,9 +53,3 @@ def test_a_ball_has_one_and_a_flat_object_none():
     )
     with pytest.raises(AssetError, match="flat"):
         poses_of(flat)
-
-
-def test_the_table_touches_the_object_in_each_pose():
-    mesh = moved(brick(0.03, 0.05, 0.07), 0.004, -0.003, 0.01)
-    for pose in poses_of(mesh, moved(brick(0.01, 0.01, 0.12), 0.0, 0.0, 0.01)):
-        assert (mesh.vertices @ np.array(pose.up)).min() >= pose.height - 1e-6

@@ -27,10 +27,6 @@ def test_a_cube_has_six_planes_and_contains_what_is_in_it():
     np.testing.assert_array_equal(cube.contains(points), (np.abs(points) <= 0.02).all(axis=1))
 
 
-def test_a_part_that_is_flat_or_too_small_is_left_out():
-    assert len(convex_hulls([CUBE * (1, 1, 0), CUBE[:3], CUBE])) == 1
-
-
 def test_a_moved_hull_contains_the_moved_points(hull):
     frame = np.eye(4)
     frame[:3, :3] = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix()
@@ -46,23 +42,6 @@ def test_the_voxels_marked_are_those_whose_centre_is_inside(hull):
     inside = hull.contains(centres(voxels))
     assert inside.sum() > 50
     np.testing.assert_array_equal(voxels.levels.reshape(-1), inside)
-
-
-def test_a_hull_that_reaches_out_of_the_box_is_cut_at_it(hull):
-    voxels = VoxelGrid(hull.low / 2, hull.high / 2, 0.0013)
-    voxels.mark(hull, 1)
-    rim = np.ones(voxels.levels.shape, dtype=bool)
-    rim[1:-1, 1:-1, 1:-1] = False
-    expected = hull.contains(centres(voxels)) & ~rim.reshape(-1)
-    np.testing.assert_array_equal(voxels.levels.reshape(-1), expected)
-
-
-def test_levels_only_rise(hull):
-    voxels = VoxelGrid(hull.low, hull.high, 0.0013)
-    voxels.mark(hull, 2)
-    voxels.mark(hull.grown(0.01), 1)
-    assert set(np.unique(voxels.levels)) == {0, 1, 2}
-    np.testing.assert_array_equal(voxels.levels.reshape(-1) == 2, hull.contains(centres(voxels)))
 
 
 def test_points_find_the_level_of_their_voxel_and_zero_outside():

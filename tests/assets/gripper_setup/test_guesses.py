@@ -9,7 +9,7 @@ from tests.assets import synthetic_hands
 
 from qdgrasp_assets.asset_report import examine_hand
 from qdgrasp_assets.gripper_setup.closing_search import find_closing
-from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
+from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, depth_at
 from qdgrasp_assets.grippers.hand_model import read_hand_model
 from qdgrasp_assets.grippers.urdf import read_urdf
@@ -66,19 +66,6 @@ def test_a_thumb_is_turned_out_of_the_palm_and_bends_toward_the_fingers(guess):
     assert [synergy.name for synergy in found.file.synergies] == ["thumb_1", "thumb_2", "thumb_3", "all"]
 
 
-def test_an_open_thumb_is_not_in_the_palm(guess):
-    postures = guess(synthetic_hands.THUMB_HAND).postures
-    assert depth_at(postures, "thumb_low", "palm", 0.0) == 0.0
-    assert depth_at(postures, "thumb_end", "palm", 0.0) == 0.0
-
-
-def test_a_half_of_the_palm_is_no_finger(guess):
-    found = guess(synthetic_hands.HALVED_HAND)
-    assert found.found.fingers == 4
-    assert "half" not in found.file.finger_links
-    assert found.file.base_link == "palm"
-
-
 def assert_meets_and_goes_no_farther(found, one, other):
     """Two links overlap by no more than the limit, and by more with joints 5 % further."""
     depths = [depth_at(found.postures, one, other, share) for share in (1.0, 1.05)]
@@ -94,29 +81,6 @@ def test_fingers_stop_where_they_meet_and_followers_with_their_leader(guess, mim
     assert_meets_and_goes_no_farther(found, "left_finger", "right_finger")
     assert "closes to where 'left_finger' meets 'right_finger'" in found.draft.reasons["joints.left"]
     assert not [note for note in found.found.notes if "through each other" in note]
-
-
-def test_why_a_finger_stops_stands_above_its_position(guess):
-    lines = draft_toml(guess(synthetic_hands.claw()).draft, "hand.toml").splitlines()
-    assert lines[lines.index("[joints.left]") - 1].startswith("# closes to where 'left_finger' meets")
-
-
-def test_no_finger_of_a_hand_with_a_thumb_goes_through_another(guess):
-    found = guess(synthetic_hands.THUMB_HAND)
-    assert not [note for note in found.found.notes if "through each other" in note]
-    assert any("meets" in reason for reason in found.draft.reasons.values())
-
-
-def test_a_closed_position_that_is_told_is_kept_and_noted(guess):
-    found = guess(synthetic_hands.claw(), closed={"left": 1.4, "right": 1.4})
-    assert (found.file.joints["left"].closed, found.file.joints["right"].closed) == (1.4, 1.4)
-    (note,) = (note for note in found.found.notes if "through each other" in note)
-    assert "--closed" in note
-
-
-def test_the_same_hand_is_guessed_the_same(guess):
-    first, again = (draft_toml(guess(synthetic_hands.THUMB_HAND).draft, "hand.toml") for _ in range(2))
-    assert first == again
 
 
 def test_joints_are_told_not_to_close(guess):
@@ -135,22 +99,6 @@ def test_fingers_are_told_by_their_first_links(guess):
         *(f"one_{part}" for part in ("root", "low", "mid", "end")),
         *(f"thumb_{part}" for part in ("root", "low", "end")),
     }
-
-
-def test_a_joint_that_closes_about_the_approach_axis_is_warned_of(guess):
-    found = guess(synthetic_hands.claw(), approach_axis=(1.0, 0.0, 0.0))
-    assert [words for words in found.warnings if words.endswith("say --not-closing left")]
-
-
-def test_an_approach_axis_that_lies_askew_is_warned_of(guess):
-    text = synthetic_hands.claw().replace('rpy="0 0 0"', "")
-    turned = text.replace("</robot>", "") + (
-        '<link name="root"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
-        'iyz="0"/></inertial><collision><geometry><box size="0.01 0.01 0.01"/></geometry></collision></link>'
-        '<joint name="mount" type="fixed"><parent link="root"/><child link="palm"/>'
-        '<origin rpy="0.7 0 0"/></joint></robot>'
-    )
-    assert [words for words in guess(turned).warnings if "--approach-axis" in words]
 
 
 PUBLIC = "QDGRASP_PUBLIC_HANDS"

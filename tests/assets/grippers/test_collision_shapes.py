@@ -10,7 +10,6 @@ from scipy.spatial import ConvexHull
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.grippers.collision_shapes import (
-    largest_side,
     link_convex_parts,
     obj_group_corners,
     shapes,
@@ -43,12 +42,6 @@ def test_the_parts_of_a_hand_lie_within_its_shapes_and_nearly_fill_them(gripper)
         assert 0.9 * hull.volume < ConvexHull(part.corners).volume < 1.01 * hull.volume
 
 
-def test_parts_are_placed_in_their_link() -> None:
-    [part] = parts_of('<box size="2 4 6"/>', origin='<origin xyz="1 0 0" rpy="0 0 1.5707963267948966"/>')
-    np.testing.assert_allclose(part.corners.min(axis=0), [-1, -1, -3])
-    np.testing.assert_allclose(part.corners.max(axis=0), [3, 1, 3])
-
-
 def test_round_shapes_have_their_corners_on_them() -> None:
     [cylinder] = parts_of('<cylinder radius="2" length="6"/>')
     np.testing.assert_allclose(np.hypot(*cylinder.corners[:, :2].T), 2)
@@ -70,19 +63,6 @@ def test_an_obj_has_a_part_for_each_group_with_the_corners_of_its_triangles(word
     np.testing.assert_array_equal(two, [(0, 0, 0), (1, 0, 0), (5, 5, 5)])
 
 
-@pytest.mark.parametrize(
-    "geometry",
-    ['<mesh filename="a.dae"/>', '<mesh filename="text.stl"/>', '<capsule radius="1" length="2"/>'],
-)
-def test_what_is_not_known_here_has_no_parts(geometry) -> None:
-    assert parts_of(geometry, {"a.dae": b"<xml/>", "text.stl": b"solid".ljust(84 + 3 * 50)}) == []
-
-
-def test_a_shape_that_is_bare_triangles_has_no_parts() -> None:
-    assert len(parts_of('<box size="1 1 1"/>')) == 1
-    assert parts_of('<box size="1 1 1"/>', attributes='concave="yes"') == []
-
-
 ARM = """<robot name="arm">
 <link name="palm"><collision><geometry><box size="0.1 0.02 0.02"/></geometry></collision></link>
 <joint name="turn" type="revolute"><parent link="palm"/><child link="tip"/>
@@ -97,16 +77,3 @@ ARM = """<robot name="arm">
 @pytest.fixture
 def arm():
     return parse_robot(Path("arm"), ElementTree.fromstring(ARM))  # noqa: S314 - written above
-
-
-def test_every_shape_is_placed_in_its_link(arm) -> None:
-    box, cylinder, sphere = shapes(arm, {})
-    assert [shape.link for shape in (box, cylinder, sphere)] == ["palm", "tip", "tip"]
-    np.testing.assert_allclose(np.ptp(box.vertices, axis=0), [0.1, 0.02, 0.02])
-    np.testing.assert_allclose(np.ptp(cylinder.vertices, axis=0), [0.2, 0.02, 0.02], atol=1e-9)
-    np.testing.assert_allclose(sphere.vertices.mean(axis=0), [0.2, 0, 0], atol=1e-9)
-
-
-def test_the_largest_side_is_that_of_all_links_at_joints_zero(arm) -> None:
-    # from the box's side at y = -0.01 to the sphere's end: 0.1 turns along y, so 0.2 + 0.05
-    assert largest_side(arm, {}) == pytest.approx(0.01 + 0.25, abs=1e-6)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from tests.assets import example_mjcf
 
-from qdgrasp_assets.asset_report import examine_urdf, read_hand
-from qdgrasp_assets.grippers.hand_model import followers, guess_base, read_hand_model
+from qdgrasp_assets.asset_report import examine_urdf
+from qdgrasp_assets.grippers.hand_model import read_hand_model
 from qdgrasp_assets.grippers.mjcf import is_mjcf, read_mjcf
 from qdgrasp_assets.grippers.urdf import parse_origin
 from qdgrasp_protocol.errors import AssetError
@@ -89,14 +89,6 @@ def test_shapes_reach_as_far_as_mujocos(crooked):
     assert len(body.parts["body_3"]) == 1  # the cylinder is only seen
 
 
-def test_joints_have_the_names_zeros_and_limits_of_the_file(crooked):
-    _, robot = crooked
-    assert robot.joint("one").lower == pytest.approx(np.radians(-60))
-    assert robot.joint("along").upper == pytest.approx(0.03)
-    assert robot.joint("three").kind == "continuous"
-    assert {"twice_one", "twice_two"} <= set(robot.links)  # between the joints of one body
-
-
 def test_a_hand_in_the_style_of_menagerie_is_one_that_can_be_used(tmp_path):
     path = example_mjcf.write(tmp_path, example_mjcf.JAW)
     assert is_mjcf(path)
@@ -107,34 +99,6 @@ def test_a_hand_in_the_style_of_menagerie_is_one_that_can_be_used(tmp_path):
     assert gripper.file.jaw.opening == pytest.approx(0.08, abs=1e-3)
     assert gripper.on_carrier("paper").urdf.count("<box") == 3  # what is only seen may be missing
     assert any("'thing' left out" in note for note in found.notes)
-
-
-def test_forces_of_tendons_reach_joints(tmp_path):
-    robot, _ = read_mjcf(example_mjcf.write(tmp_path, example_mjcf.JAW))
-    assert [robot.joint(name).effort for name in ("slide", "other")] == [60, 60]  # 120 N, arms of 0.5
-
-
-def test_visual_shapes_are_taken_where_none_collides(tmp_path):
-    text = example_mjcf.FINGER.format(tendon="", equality="", actuator="", spring="")
-    text = text.replace("<worldbody>", '<default><geom contype="0" conaffinity="0"/></default><worldbody>')
-    robot, notes = read_mjcf(example_mjcf.write(tmp_path, text))
-    assert set(read_hand_model(robot, "root").parts) == {"root", "near", "far"}
-    assert any("the visual ones were taken" in note for note in notes)
-
-
-def test_radians_that_are_read_as_degrees_are_told(tmp_path):
-    text = example_mjcf.LINKAGE.replace(' angle="radian"', "")
-    _, notes = read_mjcf(example_mjcf.write(tmp_path, text))
-    assert any('<compiler angle="radian"/>' in note for note in notes)
-
-
-def test_bodies_and_joints_without_names_get_some(tmp_path):
-    inner = '<body name="body_1"><joint/><geom size="0.01"/></body>'
-    outer = f'<body><joint range="0 90"/><geom size="0.01"/>{inner}</body>'
-    text = f"<mujoco><worldbody>{outer}</worldbody></mujoco>"
-    robot, _ = read_mjcf(example_mjcf.write(tmp_path, text))
-    assert robot.links == ("world", "body_1_1", "body_1")
-    assert [joint.name for joint in robot.joints] == ["joint_0", "joint_1"]
 
 
 BODY = '<mujoco><worldbody><body name="a"><geom size="0.01"/>{}</body></worldbody></mujoco>'
@@ -189,37 +153,3 @@ def test_what_the_simulator_does_not_take_is_a_fault_of_the_hand(tmp_path, monke
     found, _ = examine_urdf(example_mjcf.write(tmp_path, BODY.format(inner)), "hand")
     assert fault in "; ".join(found.faults)
     assert [each.name for each in tmp_path.iterdir()] == ["hand.xml"]  # MuJoCo wrote no log
-
-
-def test_copies_of_replicates_beside_each_other_add_up(tmp_path):
-    taxels = COPIES.replace("100", "4")
-    robot, _ = read_mjcf(example_mjcf.write(tmp_path, BODY.format(6 * taxels)))
-    assert len(robot.element.findall("link/collision")) == 1 + 6 * 16
-
-
-def test_a_file_that_is_too_large_is_not_read(tmp_path):
-    path = example_mjcf.write(tmp_path, example_mjcf.JAW)
-    with path.open("ab") as file:
-        file.truncate(30_000_000)
-    with pytest.raises(AssetError, match="has 30 MB, and at most 20 are read"):
-        read_mjcf(path)
-
-
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"<robot/>", b"solid x", b"<mujoco"])
-def test_other_files_are_no_mjcf(tmp_path, content):
-    (tmp_path / "hand.xml").write_bytes(content)
-    assert not is_mjcf(tmp_path / "hand.xml")
-    assert not is_mjcf(tmp_path)
-    assert not is_mjcf(tmp_path / "none.xml")
-
-
-def test_an_include_file_alone_is_told_for_what_it_is(tmp_path):
-    with pytest.raises(AssetError, match="a part of a MuJoCo file"):
-        read_hand(example_mjcf.write(tmp_path, example_mjcf.DEFAULTS))
-
-
-def test_followers_of_the_jaw_are_in_the_urdf(tmp_path):
-    robot, _ = read_mjcf(example_mjcf.write(tmp_path, example_mjcf.JAW))
-    assert guess_base(robot)[0] == "palm"
-    (follower,) = followers(robot).values()
-    assert (follower.leader, follower.multiplier, follower.offset) == ("slide", 1.0, 0.0)

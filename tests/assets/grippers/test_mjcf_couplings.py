@@ -1,7 +1,6 @@
 """Joints that tendons, equalities and linkages of MuJoCo couple become followers."""
 
 import mujoco
-import numpy as np
 import pytest
 from tests.assets import example_mjcf
 
@@ -48,39 +47,6 @@ def test_one_joint_follows_the_other(tmp_path, couples, multiplier, offset):
     assert any("'J1'" in note and "'J2'" in note for note in notes)
 
 
-def test_springs_share_what_a_tendon_pulls(tmp_path):
-    text = example_mjcf.FINGER.format(
-        tendon=PULL.format("", 1, 1), equality="", actuator=TENDON_MOTOR, spring='stiffness="4"'
-    ).replace('"J2" axis', '"J2" stiffness="2" axis')
-    robot, _ = read_mjcf(example_mjcf.write(tmp_path, text))
-    assert only_follower(robot) == ("J1", "J2", pytest.approx(0.5, abs=1e-3), pytest.approx(0, abs=1e-3))
-
-
-def test_what_is_no_straight_line_is_told(tmp_path):
-    robot, notes = finger(tmp_path, equality='<joint joint1="J1" joint2="J2" polycoef="0 0 0.5 0 0"/>')
-    _, _, multiplier, offset = only_follower(robot)
-    turns = np.linspace(0, np.pi / 2, 11)
-    assert np.clip(multiplier * turns + offset, 0, None) == pytest.approx(0.5 * turns**2, abs=0.2)
-    assert any("to within 0.1" in note for note in notes)
-
-
-def test_a_tendon_that_is_slack_couples_nothing(tmp_path):
-    robot, notes = finger(tmp_path, tendon=PULL.format(' range="-1 1" limited="true"', 1, -1))
-    assert followers(robot) == {}
-    assert any("no actuator moves 'J1'" in note for note in notes)
-
-
-def test_an_equality_that_is_not_active_couples_nothing(tmp_path):
-    equality = '<joint joint1="J1" joint2="J2" polycoef="0 1 0 0 0" active="false"/>'
-    assert followers(finger(tmp_path, equality=equality)[0]) == {}
-
-
-def test_a_coupling_that_limits_forbid_is_left_out_and_told(tmp_path):
-    robot, notes = finger(tmp_path, equality='<joint joint1="J1" joint2="J2" polycoef="0 -1 0 0 0"/>')
-    assert followers(robot) == {}
-    assert any("the coupling of 'J1' is not kept" in note for note in notes)
-
-
 def test_linkages_are_closed_by_their_followers(tmp_path):
     robot, notes = read_mjcf(example_mjcf.write(tmp_path, example_mjcf.LINKAGE))
     found = followers(robot)
@@ -107,21 +73,3 @@ def test_linkages_follow_as_they_do_in_a_simulation(tmp_path):
     for name, follower in found.items():
         meant = follower.position(data.joint(follower.leader).qpos[0])
         assert data.joint(name).qpos[0] == pytest.approx(meant, abs=0.01)
-
-
-THREE = """<mujoco><worldbody>
-<body><joint name="a" range="-9 9"/><geom size="1"/></body>
-<body><joint name="b" range="-9 9"/><geom size="1"/></body>
-<body><joint name="c" range="-9 9"/><geom size="1"/></body>
-</worldbody>
-<tendon><fixed name="sum">
-  <joint joint="a" coef="1"/><joint joint="b" coef="1"/><joint joint="c" coef="1"/>
-</fixed></tendon>
-<equality><tendon tendon1="sum"/></equality>
-<actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
-
-
-def test_a_joint_that_follows_two_motors_is_left_free_and_told(tmp_path):
-    robot, notes = read_mjcf(example_mjcf.write(tmp_path, THREE))
-    assert followers(robot) == {}
-    assert any("the coupling of 'c' is not kept, as 2 motors move" in note for note in notes)

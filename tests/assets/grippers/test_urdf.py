@@ -1,9 +1,6 @@
-import os
-
 import numpy as np
 import pytest
 
-from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_assets.grippers.urdf import read_robot_element, read_urdf
 from qdgrasp_protocol.errors import AssetError
 
@@ -19,14 +16,6 @@ def test_links_lie_where_origins_and_joints_put_them(robot):
     assert frames["palm"][:3, 3] == pytest.approx([0, 0, 0.1])
     assert frames["finger"][:3, 3] == pytest.approx([0, 0.02, 0.15])
     assert frames["finger"][:3, 0] == pytest.approx([-1, 0, 0])  # yaw of 90 deg, then the joint's own
-
-
-def test_the_whole_robot_moves_with_its_base(robot):
-    base = np.eye(4)
-    base[:3, 3] = 1, 2, 3
-    moved, still = robot.forward({"bend": 0.4}, base), robot.forward({"bend": 0.4})
-    for link in robot.links:
-        assert moved[link] == pytest.approx(base @ still[link])
 
 
 def test_a_subtree_has_its_links_only(robot):
@@ -49,30 +38,12 @@ def test_the_bundle_keeps_all_but_visuals_and_mesh_paths(robot):
     assert list(robot.element.iter("visual"))
 
 
-XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}<link name="a"/></robot>'
-
-
 def refused(path, content):
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(AssetError) as error:
         read_robot_element(path)
     assert "\n" not in str(error.value)
     return str(error.value)
-
-
-@pytest.mark.parametrize(
-    "content",
-    ['<xacro:include filename="b.xacro"/>', '<link name="${side}_finger"/>', '<link name="$(arg x)"/>'],
-)
-def test_a_xacro_file_is_told_with_the_command_that_makes_a_urdf_of_it(tmp_path, content):
-    told = refused(tmp_path / "hand.urdf.xacro", XACRO.format(content))
-    assert "run `xacro hand.urdf.xacro > hand.urdf`" in told
-
-
-def test_what_xacro_left_behind_makes_no_xacro_file(tmp_path):
-    urdf = tmp_path / "hand.urdf"
-    urdf.write_text(XACRO.format('<!-- <xacro:hand side="$(arg side)"/> -->'))
-    assert read_robot_element(urdf).tag == "robot"
 
 
 @pytest.mark.parametrize(
@@ -88,16 +59,3 @@ def test_what_xacro_left_behind_makes_no_xacro_file(tmp_path):
 )
 def test_what_is_no_urdf_is_told_for_what_it_is(tmp_path, name, content, sentence):
     assert sentence in refused(tmp_path / name, content)
-
-
-def test_a_file_that_is_not_there_is_told(tmp_path):
-    with pytest.raises(AssetError, match=r"No URDF can be read at '.*hand.urdf': it does not exist; name"):
-        read_robot_element(tmp_path / "hand.urdf")
-
-
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "hand.urdf")
-    os.mkfifo(tmp_path / "hand.toml")
-    for read, name in ((read_robot_element, "hand.urdf"), (read_gripper_file, "hand.toml")):
-        with pytest.raises(AssetError, match=f"{name}': it is no ordinary file; name"):
-            read(tmp_path / name)
