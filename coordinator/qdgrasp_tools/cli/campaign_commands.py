@@ -271,20 +271,16 @@ def analyse(
             "--object", help="On which object cells are drawn; may be given again. Default: all, or one."
         ),
     ] = None,
-    log: Annotated[bool, typer.Option("--log", help="Curves on logarithmic axes.")] = False,
     as_json: options.Json = False,
 ) -> None:
-    """Draw and tabulate what the runs of a campaign found,
-    and hold the paper's claims against them.
+    """Draw and tabulate what the runs of a campaign found.
 
-    Writes the paper's four figures of results for every hand, and others, as PNG, SVG and CSV, and the tables
-    as Markdown and CSV; also while runs go on. Runs that keep too little for curves, as pruned ones may, and
-    runs that repeat a search are left out and named.
+    Writes the paper's four figures of results as PNG and SVG, `runs.csv` and `curves.csv`, and prints what
+    each method reached with 95 % intervals; also while runs go on. Runs that repeat a search are left out.
 
     Example: qdgrasp analyse campaigns/paper-small
-    """  # noqa: D205  # typer joins the lines
+    """
     from qdgrasp_tools.report.report import REPORT_FOLDER, write_report  # matplotlib takes its time
-    from qdgrasp_tools.report.tables import left_out_words
 
     found = write_report(
         directory,
@@ -292,17 +288,13 @@ def analyse(
         references=reference or (),
         methods=method or (),
         objects=objects or (),
-        log=log,
     )
-    verdicts = {one.claim.letter: one.verdict.value for one in found.claims}
     if as_json:
-        values = {"out": str(found.out), "runs": found.runs, "unfinished": found.unfinished}
-        missing = {name: getattr(found, name) for name in ("left_out", "without_curves", "repeats")}
-        echo(json.dumps({**values, "claims": verdicts, **missing}))
+        values = {"out": str(found.out), "runs": len(found.runs), "unfinished": found.unfinished}
+        echo(json.dumps(values | {"left_out": found.left_out, "repeats": found.repeats}))
         return
-    for one in found.claims:
-        echo(f"({one.claim.letter}) {one.claim.words}: {one.verdict.value}.")
-    for sentence in left_out_words(found.without_curves, found.repeats):
-        echo(sentence)
+    echo(found.table)
+    if found.repeats:
+        echo(f"Left out, as others are of the same search: {', '.join(found.repeats)}.")
     mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""
-    echo(f"{counted(found.runs, 'run')}{mark}. Figures and tables: {found.out / 'tables.md'}")
+    echo(f"{counted(len(found.runs), 'run')}{mark}. Figures and tables: {found.out}")

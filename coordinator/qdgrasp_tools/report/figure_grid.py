@@ -14,14 +14,14 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from qdgrasp_coordinator.search import registry
 from qdgrasp_tools.rendering.drawings import figure_text
 
 Dashes = Literal["-"] | tuple[float, Sequence[float]]
-INK, FAINT, RULE, CONTEXT = "#22262b", "#69717a", "#d9dde1", "#c9ced3"
-"""Colours of text, of notes beside it, of rules, and of curves that only give context."""
+INK, FAINT, RULE = "#22262b", "#69717a", "#d9dde1"
+"""Colours of text, of notes beside it, and of rules."""
 PRIOR_HUES = {
     "contact": "#0072b2",
     "approach": "#d55e00",
@@ -30,7 +30,6 @@ PRIOR_HUES = {
     "aimed": "#a2587f",
     "spherical": "#4d4d4d",
 }
-PRIOR_WORDS = {"spherical": "no prior", "valued": "aimed"}  # Label of a prior in a figure, where not its name
 FAMILIES: dict[str, Dashes] = {
     "aimed": "-",
     "me_scs": "-",
@@ -168,52 +167,32 @@ def plain_axes(axes: Axes) -> None:
     axes.spines["bottom"].set_color(FAINT)
     axes.tick_params(colors=FAINT, labelsize=8, length=3, width=0.7)
     axes.tick_params(axis="y", which="both", length=0)
-    axes.tick_params(axis="x", which="minor", length=1.5, width=0.5, color=FAINT)
     axes.grid(axis="y", color=RULE, linewidth=0.6)
     axes.set_axisbelow(True)
 
 
 def panel_heading(axes: Axes, words: str, *under: str, color: str = INK) -> None:
     """Write a panel's heading, and fainter lines under it, all above the panel."""
-    for line, text in enumerate(reversed(under)):
-        words_above(axes, text, 5 + 10.5 * line, size=7.5, color=FAINT)
-    words_above(axes, words, 6 + 10.5 * len(under), size=10, weight="bold", color=color)
+    lines = [(text, 5 + 10.5 * line, 7.5, "normal", FAINT) for line, text in enumerate(reversed(under))]
+    for text, height, size, weight, hue in (*lines, (words, 6 + 10.5 * len(under), 10, "bold", color)):
+        axes.annotate(
+            figure_text(text), (0, 1), (0, height), xycoords="axes fraction", textcoords="offset points",
+            annotation_clip=False, size=size, weight=weight, color=hue,
+        )  # fmt: skip
 
 
-def words_above(axes: Axes, words: str, height: float, **style: Any) -> None:
-    """Write words above a panel, `height` points over its upper left corner."""
-    axes.annotate(
-        figure_text(words),
-        (0, 1),
-        (0, height),
-        xycoords="axes fraction",
-        textcoords="offset points",
-        annotation_clip=False,
-        **style,
-    )
-
-
-def evaluation_axis(axes: Axes, end: int, *, log: bool) -> None:
-    """Make x count evaluations from 0, or from a hundredth of `end` on a logarithmic axis."""
-    if log:
-        axes.set_xscale("log")
-        axes.xaxis.set_minor_formatter(NullFormatter())
-    else:
-        axes.xaxis.set_major_locator(MaxNLocator(4, integer=True, steps=[1, 2, 5, 10]))
-    axes.set_xlim(max(end, 1) / 100 if log else 0, max(end, 1))
+def evaluation_axis(axes: Axes, end: int) -> None:
+    """Make x count evaluations from 0."""
+    axes.xaxis.set_major_locator(MaxNLocator(4, integer=True, steps=[1, 2, 5, 10]))
+    axes.set_xlim(0, max(end, 1))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: short_number(x)))
     axes.set_xlabel("evaluations", size=8, color=FAINT, labelpad=2)
 
 
-def value_axis(axes: Axes, top: float, *, share: bool, log: bool) -> None:
-    """Make y a share or a count up to little more than `top`: from 0, or over three decades."""
-    if log:
-        axes.set_yscale("log")
-        axes.yaxis.set_minor_formatter(NullFormatter())
-    else:
-        axes.yaxis.set_major_locator(MaxNLocator(4, integer=not share, steps=[1, 2, 2.5, 5, 10]))
-    end = top if top > 0 else 1.0
-    axes.set_ylim(end / 1000 if log else 0, (1.3 if log else 1.06) * end)
+def value_axis(axes: Axes, top: float, *, share: bool) -> None:
+    """Make y a share or a count, from 0 up to little more than `top`."""
+    axes.yaxis.set_major_locator(MaxNLocator(4, integer=not share, steps=[1, 2, 2.5, 5, 10]))
+    axes.set_ylim(0, 1.06 * (top if top > 0 else 1.0))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{100 * y:g}\u202f%" if share else f"{y:,g}"))
 
 

@@ -1,87 +1,83 @@
 """Writes the figures and tables of a campaign into a folder."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 
+import numpy as np
+
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
-from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.outputs import SharedFolder
+from qdgrasp_coordinator.storage.tables import Row, Value, aligned_text, csv_text
 from qdgrasp_protocol.errors import FolderError, UnknownName
-from qdgrasp_tools.report.claims import JudgedClaim, judge_claims
 from qdgrasp_tools.report.figure_grid import FigureGrid, family_of
 from qdgrasp_tools.report.figures import (
     COMPARED_METHODS,
-    draw_comparison,
     draw_curves,
     draw_nu,
-    draw_prior_matrix,
-    draw_variants,
     draw_voxels,
     drawn_methods,
     nu_distributions,
     run_voxels,
 )
 from qdgrasp_tools.report.run_groups import (
+    CurvePanel,
     RunGroup,
-    curve_panels,
-    distinct_searches,
+    SceneName,
+    find_runs,
     group_runs,
-    pool_objects,
+    hand_panels,
+    mean_interval,
     read_histories,
-    search_run_folders,
+    scene_panels,
 )
-from qdgrasp_tools.report.setting_sweeps import SettingSweep, draw_sweeps, setting_sweeps
-from qdgrasp_tools.report.tables import (
-    CAPTIONS,
-    CLAIMS_HEADING,
-    Row,
-    claim_rows,
-    csv_text,
-    curve_rows,
-    markdown_page,
-    method_rows,
-    nu_rows,
-    run_rows,
-    sweep_rows,
-    voxel_rows,
-)
+from qdgrasp_tools.report.run_history import RunHistory
 
 REPORT_FOLDER = "analysis"
-PAGE_FILE = "tables.md"
-SUFFIXES = (".png", ".svg", ".csv")
-FORMER_FIGURES = ("hands",)  # Drawn by earlier versions, and no more
+RUNS_FILE, CURVES_FILE = "runs.csv", "curves.csv"
+FIGURES = ("figure1-comparison", "figure2-variants", "figure3-nu", "figure4-cells")
+"""Names of the paper's figures of results."""
+SUFFIXES = (".png", ".svg")
 
 
 @dataclass(frozen=True)
 class CampaignReport:
-    """The groups, claims and figures of a written report."""
+    """The groups and figures of a written report."""
 
     out: Path
     groups: list[RunGroup]
-    claims: list[JudgedClaim]
-    figures: dict[str, str]
-    """By name, the reason why a figure was left out; empty for those that were drawn."""
-    without_curves: list[str]
-    """Runs that were left out: too few of their rows were kept."""
+    panels: list[CurvePanel]
+    left_out: dict[str, str]
+    """By name of a figure, the reason why it was not drawn."""
     repeats: list[str]
     """Runs that were left out: another run of the same search is as long, or longer."""
 
     @property
-    def left_out(self) -> dict[str, str]:
-        """The figures that were not drawn, with the reason."""
-        return {name: why for name, why in self.figures.items() if why}
-
-    @property
-    def runs(self) -> int:
-        """Number of runs."""
-        return sum(len(group.runs) for group in self.groups)
+    def runs(self) -> list[RunHistory]:
+        """All runs."""
+        return [run for group in self.groups for run in group.runs]
 
     @property
     def unfinished(self) -> int:
         """Number of runs that have not spent their budget."""
-        return sum(group.unfinished for group in self.groups)
+        return sum(not run.complete for run in self.runs)
+
+    @property
+    def table(self) -> str:
+        """What each method reached on each scene after as many evaluations, with intervals."""
+        head = ("scene", "method", "runs", "evaluations", "measure", "mean", "95% interval")
+        return aligned_text([head, *(line for one in self.panels for line in _lines(one))], range(2))
+
+
+def _lines(panel: CurvePanel) -> Iterable[tuple[str, ...]]:
+    number = "{:.2%}".format if panel.is_share else "{:,.1f}".format
+    for curve in (one for one in panel.curves if one.samples):
+        end = panel.common_end
+        reached = [float(panel.values(sample, end)) for sample in curve.samples]
+        interval = mean_interval(reached)
+        between = "few runs" if interval is None else " to ".join(map(number, interval))
+        words = panel.scene.words, " ".join(curve.arm).rstrip(), str(len(reached)), f"{end:,}"
+        yield *words, "coverage" if panel.is_share else "cells", number(np.mean(reached)), between
 
 
 def write_report(
@@ -91,100 +87,126 @@ def write_report(
     references: Sequence[Path] = (),
     methods: Sequence[str] = (),
     objects: Sequence[str] = (),
-    log: bool = False,
 ) -> CampaignReport:
     """Draw and tabulate a campaign, a folder of runs or one run, also while it goes on.
 
     `out` is a new folder, an empty one, or that of an earlier analysis; `references` are sets that take
     precedence over the published ones on the asset path; `methods` are those whose cells are drawn (none: the
-    compared ones, or what found the most cells), on `objects` (none: see `run_voxels`); `log` makes axes of
-    curves logarithmic. Raises FolderError if there is no run, none has recorded an evaluation or has curves,
-    one cannot be read, or `out` cannot be written, and UnknownName if no run is of such a method or object;
-    it names those that there are.
+    compared ones, or what found the most cells), on `objects` (none: all). Raises FolderError if there is no
+    run, none has recorded an evaluation, one cannot be read, or `out` cannot be written, and UnknownName if
+    no run is of such a method or object.
     """
-    folder = SharedFolder(out, is_kind=is_ours, mark=PAGE_FILE)
+    folder = SharedFolder(out, is_kind=is_ours, mark=RUNS_FILE)
     folder.check()
-    runs, copies = distinct_searches(read_histories(search_run_folders(path), ReferenceLookup(references)))
-    arms, repeats = group_runs(runs), [run.path.absolute().name for run in copies]
-    begun = [group for group in arms if any(run.evaluations for run in group.runs)]
+    runs, copies = read_histories(find_runs(path), ReferenceLookup(references))
+    groups = group_runs(runs)
+    begun = [group for group in groups if any(run.evaluations for run in group.runs)]
     if not begun:
         raise FolderError(f"No run in {path} has recorded an evaluation yet; there is nothing to draw.")
     for kind, asked, known in (
-        ("method", methods, {group.method for group in arms}),
-        ("object", objects, {group.scene.object for group in arms}),
+        ("method", methods, {group.method for group in groups}),
+        ("object", objects, {group.scene.object for group in groups}),
     ):
         for name in asked:
             if name not in known:
                 raise UnknownName(f"{kind} in this campaign", name, sorted(known))
-    claims, sweeps = judge_claims(begun), setting_sweeps(begun)
-    page = _earlier_page(out)
-    earlier = [name for name in (*CAPTIONS, *FORMER_FIGURES) if f"({name}.png)" in page]
+    scenes, hands = scene_panels(begun), hand_panels(begun)
+    pooled = [panel for panel in hands if panel.scene not in {one.scene for one in scenes}]
+    figures = _figures(begun, methods, objects)
+    left_out = {name: why for name, why in figures.items() if isinstance(why, str)}
     with folder.filling() as made:
-        figures = _draw(begun, sweeps, made, methods, objects, log=log)
-        tables = {"runs": run_rows(arms), "methods": method_rows(arms), "claims": claim_rows(claims)}
-        for name, rows in tables.items():
-            (made / f"{name}.csv").write_text(csv_text(rows), encoding="utf-8")
-        page = markdown_page(path.absolute().name, arms, claims, figures, sweeps, ((), repeats))
-        (made / PAGE_FILE).write_text(page, encoding="utf-8")
-    for name in earlier:  # figures of an earlier analysis that were left out of this one
-        for suffix in SUFFIXES if figures.get(name, "no more") else ():
-            (out / name).with_suffix(suffix).unlink(missing_ok=True)
-    return CampaignReport(out, arms, claims, figures, [], repeats)
+        for name, figure in figures.items():
+            if isinstance(figure, FigureGrid):
+                figure.write(made / name)
+        (made / RUNS_FILE).write_text(csv_text(run_rows(groups)), encoding="utf-8")
+        (made / CURVES_FILE).write_text(csv_text(curve_rows([*scenes, *pooled])), encoding="utf-8")
+    for name in left_out:  # of an earlier analysis
+        for suffix in SUFFIXES:
+            (out / f"{name}{suffix}").unlink(missing_ok=True)
+    return CampaignReport(out, groups, scenes, left_out, [run.path.absolute().name for run in copies])
 
 
-def _draw(
-    begun: Sequence[RunGroup],
-    sweeps: Sequence[SettingSweep],
-    out: Path,
-    methods: Sequence[str],
-    objects: Sequence[str],
-    *,
-    log: bool,
-) -> dict[str, str]:
-    """Draw each figure; returns by name the reason why one is left out, or ""."""
+def _figures(
+    begun: Sequence[RunGroup], methods: Sequence[str], objects: Sequence[str]
+) -> dict[str, FigureGrid | str]:
+    """Draw each figure of the paper; returns the reason in place of one that has nothing to show."""
     searched = {group.scene for group in begun if family_of(group.method) != "rand"}
-    with_searches = [group for group in begun if group.scene in searched]
-    compared = curve_panels(pool_objects([group for group in begun if group.method in COMPARED_METHODS]))
-    scenes, variants = curve_panels(begun), curve_panels(pool_objects(with_searches))
-    pooled = [panel for panel in variants if panel.scene not in searched]
-    by_prior = [*pooled, *(panel for panel in scenes if panel.scene in searched)]
+    compared = hand_panels([group for group in begun if group.method in COMPARED_METHODS])
+    variants = hand_panels([group for group in begun if group.scene in searched])
     distributions = nu_distributions(begun)
     drawn = list(dict.fromkeys(methods)) or drawn_methods(begun)
     voxels = run_voxels(begun, drawn, objects)
-    no_search = "no run is of a search with quality and diversity"
-    drawings: dict[str, tuple[FigureGrid | str, list[Row]]] = {
-        "comparison": (
-            draw_comparison(compared, log=log) if compared else "no method of the paper's comparison is here",
-            curve_rows(compared),
-        ),
-        "variants": (draw_variants(variants, log=log) if variants else no_search, curve_rows(variants)),
-        "nu": (
-            draw_nu(distributions) if distributions else "no success is of a method with the prior contact",
-            nu_rows(begun),
-        ),
-        "voxels": (
-            draw_voxels(voxels, drawn) if voxels else "nothing was found",
-            [row for one in chain(*voxels) for row in voxel_rows(one)],
-        ),
-        "coverage": (draw_curves(scenes, log=log), curve_rows(scenes)),
-        "priors": (draw_prior_matrix(by_prior, log=log) if by_prior else no_search, curve_rows(by_prior)),
-        "settings": (
-            draw_sweeps(sweeps) if sweeps else "no numeric setting differs within a method",
-            [row for one in sweeps for row in sweep_rows(one)],
-        ),
+    none = ("no method of it is here", "no run is of a search", "no success has a nu", "nothing was found")
+    found: tuple[FigureGrid | Sequence[object], ...] = (
+        compared and draw_curves(compared, "Searches and standard sampling schemes"),
+        variants and draw_curves(variants, "Searches with and without priors"),
+        distributions and draw_nu(distributions),
+        voxels and draw_voxels(voxels, drawn),
+    )
+    return {
+        name: one if isinstance(one, FigureGrid) else why
+        for name, one, why in zip(FIGURES, found, none, strict=True)
     }
-    for name, (grid, rows) in drawings.items():
-        if not isinstance(grid, str):
-            grid.write(out / name)
-            (out / f"{name}.csv").write_text(csv_text(rows), encoding="utf-8")
-    return {name: grid if isinstance(grid, str) else "" for name, (grid, _) in drawings.items()}
 
 
 def is_ours(folder: Path) -> bool:
-    """Return whether a folder is that of an earlier analysis."""
-    return f"\n{CLAIMS_HEADING}\n" in _earlier_page(folder)
+    """Return whether a folder is that of an earlier analysis: its tables have our columns."""
+    try:
+        heads = [(folder / name).open(encoding="utf-8").readline() for name in (RUNS_FILE, CURVES_FILE)]
+    except (OSError, UnicodeDecodeError):
+        return False
+    return all(head.startswith("gripper,object,protocol,method,variant,") for head in heads)
 
 
-def _earlier_page(folder: Path) -> str:
-    page = folder / PAGE_FILE
-    return page.read_text(encoding="utf-8", errors="replace") if atomic_files.is_file(page) else ""
+def _columns(scene: SceneName, arm: tuple[str, str]) -> dict[str, Value]:
+    return {
+        "gripper": scene.gripper, "object": scene.object, "protocol": scene.protocol,
+        "method": arm[0], "variant": arm[1],
+    }  # fmt: skip
+
+
+def run_rows(groups: Iterable[RunGroup]) -> list[Row]:
+    """One row for each run; shares are of S_G, robust ones of its entries of fitness 2."""
+    return [_columns(group.scene, group.arm) | _run_columns(run) for group in groups for run in group.runs]
+
+
+def _run_columns(run: RunHistory) -> dict[str, Value]:
+    counts, known = run.counts, run.target.reference
+    size, robust = run.target.size, len(known.robust) if known else 0
+    return {
+        "run": run.path.name,
+        "seed": run.spec.seed,
+        "overlaps_mode": run.spec.overlaps,
+        "finished": "yes" if run.complete else "no",
+        **{name: getattr(counts, name) for name in COUNTS},
+        "cells": run.cells.end,
+        "robust_cells": run.robust_cells.end,
+        "qd_score": run.qd_score,
+        "coverage": run.found.end / size if run.found and size else None,
+        "published_coverage": run.published.end / size if run.published and size else None,
+        "robust_coverage": run.robust_found.end / robust if run.robust_found and robust else None,
+        "nu_below_quarter_pi": run.near_share,
+        "eta": run.eta.mean if run.eta else None,
+        "trials_per_success": run.eta.trials if run.eta else None,
+        "cpu_seconds": run.cpu_seconds,
+        "set_size": size or None,
+        "stand_in": ("yes" if run.target.stand_in else "no") if size else None,
+        "why_no_set": run.target.why,
+    }
+
+
+COUNTS = ("evaluations", "simulated", "proposals", "overlaps", "dead_ends", "successes")
+
+
+def curve_rows(panels: Iterable[CurvePanel]) -> list[Row]:
+    """One row for each point of each curve: quartiles over the runs that have got that far."""
+    rows: list[Row] = []
+    for panel in panels:
+        for one in panel.curves:
+            names = _columns(panel.scene, one.arm) | {"measure": "coverage" if panel.is_share else "cells"}
+            columns = (one.evaluations, one.runs, one.low, one.median, one.high)
+            rows += [
+                names | dict(zip(("evaluations", "runs", "q1", "median", "q3"), values, strict=True))
+                for values in zip(*(column.tolist() for column in columns), strict=True)
+            ]
+    return rows

@@ -4,24 +4,21 @@ Nominal rows are counted; a success's randomised trials give its eta and nothing
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget
-from qdgrasp_coordinator.metrics.run_stats import count_rows, evaluation_mask
+from qdgrasp_coordinator.metrics.run_stats import RunCounter, count_rows, evaluation_mask
 from qdgrasp_coordinator.metrics.success_metrics import (
     NEAR_NU,
-    Diversity,
     EtaSummary,
     StepSeries,
     SuccessHistory,
     SuccessMetrics,
-    diversity,
     join_histories,
 )
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
@@ -29,17 +26,6 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.report.row_report import empty_niche_archive
-
-SUMMED_COUNTS = ("evaluations", "simulated", "proposals", "overlaps", "dead_ends")
-
-
-def _run_sums(journal: Journal, spec: RunSpec, blocks: Iterable[Rows]) -> dict[str, Any]:
-    """Sum up all rows of a run, as `RunSummary` counts them; the blocks that are kept all pass."""
-    total = count_rows(spec, blocks)
-    sums = {name: getattr(total, name) for name in SUMMED_COUNTS}
-    return sums | {"complete": total.finished is not None, "cpu_seconds": journal.cpu_seconds}
-
 
 NU_BINS = 24  # Bins of nu from 0 to pi, 7.5 degrees each: six of them reach to pi / 4
 
@@ -51,13 +37,8 @@ class RunHistory:
     path: Path
     spec: RunSpec
     target: CoverageTarget
-    evaluations: int
-    complete: bool
-    simulated: int
-    proposals: int
-    overlaps: int
-    dead_ends: int
-    successes: int
+    counts: RunCounter
+    """The sums over its rows."""
     cells: StepSeries
     """Distinct 1 cm cells with a success."""
     robust_cells: StepSeries
@@ -68,7 +49,6 @@ class RunHistory:
     """Entries of fitness 2, found by robust successes."""
     published: StepSeries | None
     """Entries as the released code counts them; None for a hand that it does not have."""
-    diversity: Diversity
     qd_score: float
     nu: NDArray[np.int64]
     """(24,): successes by nu, from 0 to pi."""
@@ -77,25 +57,26 @@ class RunHistory:
     eta: EtaSummary | None
     """Eta of the successes whose trials are recorded; None where the protocol has none."""
     cpu_seconds: float
-    search: str = ""
-    """`run_digest` of the run; empty: its scene is not here."""
+
+    @property
+    def evaluations(self) -> int:
+        """Number of counted evaluations."""
+        return self.counts.evaluations
+
+    @property
+    def complete(self) -> bool:
+        """True if it has spent its budget or reached its goal."""
+        return self.counts.finished is not None
 
     def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
         """Share of the reference set found after so many evaluations; NaN without one."""
-        return self._share(self.found, evaluations)
-
-    def published_coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
-        """The same as the released code counts; NaN without a set or for hands that it lacks."""
-        return self._share(self.published, evaluations)
+        if self.found is None or not self.target.size:
+            return np.full(np.shape(evaluations), np.nan)
+        return self.found.after(evaluations) / self.target.size
 
     def cell_count(self, evaluations: ArrayLike) -> NDArray[np.float64]:
         """Number of success cells after so many evaluations."""
         return self.cells.after(evaluations).astype(np.float64)
-
-    def _share(self, found: StepSeries | None, evaluations: ArrayLike) -> NDArray[np.float64]:
-        if found is None or not self.target.size:
-            return np.full(np.shape(evaluations), np.nan)
-        return found.after(evaluations) / self.target.size
 
     @property
     def near_share(self) -> float | None:
@@ -104,36 +85,30 @@ class RunHistory:
         return self.near / aimed if aimed else None
 
 
-def read_history(folder: RunFolder, target: CoverageTarget, search: str = "") -> RunHistory:
-    """Read what a run found, also while it goes on.
-
-    Raises FolderError if its journal cannot be read.
-    """
+def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
+    """Read what a run found, also while it goes on; FolderError if its journal cannot be read."""
     spec = folder.spec
     with folder.journal() as journal:
-        metrics, niches = SuccessMetrics(TrialPlan.of(spec)), empty_niche_archive(folder)
+        metrics = SuccessMetrics(TrialPlan.of(spec))
         found: list[SuccessHistory] = []
-        blocks = metrics.counting(niches.inserting(_collect_successes(journal, spec, found)))
-        sums = _run_sums(journal, spec, blocks)
-        history = join_histories(found, journal.shape.empty(0))
+        counts = count_rows(spec, metrics.counting(_collect_successes(journal, spec, found)))
+        history, cpu_seconds = join_histories(found, journal.shape.empty(0)), journal.cpu_seconds
     known, archive = target.reference, target.archive
     return RunHistory(
         path=folder.path,
         spec=spec,
         target=target,
-        **sums,
-        successes=metrics.successes,
+        counts=counts,
         cells=history.cells(),
         robust_cells=history.cells(Outcome.HELD),
         found=None if known is None else history.found(known),
         robust_found=None if known is None else history.found(known.robust, Outcome.HELD),
         published=None if known is None or archive is None else history.published(known, archive),
-        diversity=diversity(niches),
         qd_score=metrics.qd_score,
         nu=np.histogram(history.nu, bins=NU_BINS, range=(0.0, math.pi))[0],
         near=int(np.count_nonzero(history.nu < NEAR_NU)),
         eta=metrics.eta,
-        search=search,
+        cpu_seconds=cpu_seconds,
     )
 
 

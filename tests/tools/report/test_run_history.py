@@ -13,8 +13,8 @@ from qdgrasp_coordinator.metrics.reference_coverage import (
     ReleasedArchive,
     coverage,
 )
-from qdgrasp_coordinator.metrics.success_metrics import StepSeries, SuccessHistory, archive_growth
-from qdgrasp_protocol.rows import TRIALS, Outcome, Rows
+from qdgrasp_coordinator.metrics.success_metrics import StepSeries, SuccessHistory
+from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_tools.report.run_history import RunHistory, read_history
 
 GRID = np.stack(np.meshgrid(*[np.arange(-4, 3)] * 3), axis=-1).reshape(-1, 3).astype(np.int64)
@@ -72,38 +72,11 @@ def test_the_count_as_published_is_the_released_archive_s_at_any_time(seed: int,
     assert int(finds(rows).published(KNOWN, ARCHIVE).after(n)) == at_once(rows[:n])[2]
 
 
-def test_cells_grow_as_in_the_picture_of_a_run(tmp_path: Path) -> None:
-    rows = random_rows(500)
-    found, drawn = told(tmp_path, rows), archive_growth(rows)
-    assert found.cells.after(drawn.evaluations).tolist() == drawn.cells.tolist()
-    assert (found.evaluations, found.successes) == (500, drawn.successes[-1])
-    assert (np.diff(found.cells.totals) > 0).all()
-    assert found.robust_cells.end < found.cells.end
-
-
 def test_overlaps_are_no_evaluations_where_they_are_redrawn(tmp_path: Path) -> None:
     rows = random_rows(300)
     found = told(tmp_path, rows, overlaps="redraw")
     assert found.evaluations == np.count_nonzero(rows["outcome"] != Outcome.OVERLAP)
     assert found.cells.evaluations.max() <= found.evaluations
-
-
-def test_trials_give_eta_and_nothing_else(tmp_path: Path) -> None:
-    nominal = random_rows(10)
-    success = np.flatnonzero(nominal["outcome"] >= Outcome.DROPPED)
-    trials = np.repeat(nominal[success], TRIALS)
-    trials["trial"] = np.tile(np.arange(1, TRIALS + 1), len(success))
-    trials["fitness"], trials["descriptor"], trials["base_to_object"] = 1, 0.5, 0.5
-    alone = told(tmp_path / "a", nominal)
-    robust = told(tmp_path / "b", np.concatenate([nominal, trials]), protocol="robust")
-    assert len(success) > 2
-    assert alone.eta is None
-    assert robust.eta is not None
-    assert (robust.eta.mean, robust.eta.trials) == (0.5, TRIALS)
-    for name in ("evaluations", "successes", "near"):
-        assert getattr(alone, name) == getattr(robust, name)
-    for name in ("cells", "robust_cells", "found", "published"):
-        assert getattr(alone, name).totals.tolist() == getattr(robust, name).totals.tolist()
 
 
 def test_nu_that_rounds_beyond_the_end_of_a_prior_is_still_within(tmp_path: Path) -> None:
