@@ -89,7 +89,7 @@ SHARD = re.compile(r"([1-9]\d{0,3})/([1-9]\d{0,3})")  # Share of a campaign's ru
 
 
 class ObjectKeys(Struct, forbid_unknown_fields=True):
-    """What a campaign's file says of an object; its runs' specs check the values."""
+    """Values of an object in a campaign's file; its runs' specs check them."""
 
     mass: Any = None
     scale: Any = None

@@ -119,26 +119,27 @@ def export(
     is_one = len(directories) == 1 and [folder.path for folder in folders] == directories
     if is_one and (meshes is not None or split is not None):
         raise InputError("--meshes and --split are for several runs or a campaign; leave them out.")
-    with progress_messages() as tell, lifetime("qdgrasp export") as stop:
-        if is_one:
-            (folder,) = folders
+    if is_one:
+        with progress_messages() as tell:
             written = exporter.export_run(
-                folder, out, name, choice, frame=frame, negatives=negatives, force=force, tell=tell
+                folders[0], out, name, choice, frame=frame, negatives=negatives, force=force, tell=tell
             )
-        else:
-            written = dataset.export_dataset(
-                folders,
-                out,
-                name,
-                choice,
-                frame=frame,
-                negatives=negatives,
-                meshes=meshes or dataset.NAME,
-                shares=() if split is None else dataset.parse_shares(split),
-                force=force,
-                tell=tell,
-                is_stopped=lambda: stop.is_set,
-            )
+        echo(written)
+        return
+    with progress_messages() as tell, lifetime("qdgrasp export") as stop:
+        written = dataset.export_dataset(
+            folders,
+            out,
+            name,
+            choice,
+            frame=frame,
+            negatives=negatives,
+            meshes=meshes or dataset.NAME,
+            shares=() if split is None else dataset.parse_shares(split),
+            force=force,
+            tell=tell,
+            is_stopped=lambda: stop.is_set,
+        )
     if not written:
         echo("Stopped; nothing was written.", err=True)
         raise typer.Exit(stop.exit_code)

@@ -1,4 +1,4 @@
-"""Exports several runs and campaigns as one data set: files by hand and split, an index, a card.
+"""Exports runs and campaigns as one data set: files by hand and split, index, card.
 
 Only some thousand grasps are in memory at a time, and a line for each run. The head of the card is what the
 Hugging Face hub reads: licence, size, and which files are which table.
@@ -154,11 +154,11 @@ def export_dataset(
     is_stopped: Callable[[], bool] = lambda: False,
     shard_bytes: int = SHARD_BYTES,
 ) -> str:
-    """Write runs as one data set; returns a sentence, empty if it was stopped and nothing is written.
+    """Write runs as one data set; returns a sentence, empty if it was stopped.
 
-    The choice is made of each run. `meshes` "copy" writes the mesh of each object, "name" only its name and
-    digests. `shares` split objects without a split of their own. Runs that cannot be read are left out, and
-    named in the card. Raises InputError where it cannot be written, or there is no grasp.
+    The choice is made of each run; nothing is left of an export that was stopped. `meshes` "copy" writes the
+    mesh of each object. `shares` split objects without a split of their own. Runs that cannot be read are
+    left out, and named in the card. Raises InputError where it cannot be written, or there is no grasp.
     """
     check_packages("A data set", "pyarrow")  # of its index
     form = format_of(name)
@@ -167,23 +167,18 @@ def export_dataset(
     failures = form.failures(negatives)
     output = OutFolder(out, force=force, is_kind=is_dataset)
     output.check()
-    with suppress(_Stopped), output.writing() as made:
+    with suppress(_StopExport), output.writing() as made:
         made.mkdir()
         writer = DatasetWriter(made, form, choice, frame_of(frame), failures, meshes, shares, shard_bytes)
         with closing(writer):
-            runs = sorted(writer.runs(folders))
-            for number, run in enumerate(runs, 1):
-                tell(f"run {number} of {len(runs)}: {run.name}")
-                if is_stopped():
-                    raise _Stopped
-                writer.write(run)
-        tell("writing the index and the card")
-        figures = writer.write_lists()
-        return f"{figures} written to {out}, poses in the objects' {frame} frame."
+            for run in sorted(writer.runs(folders)):
+                tell(f"run {run.name}, {len(writer.entries)} of {len(folders)} written")
+                writer.write(run, is_stopped)
+        return f"{writer.write_lists()} written to {out}, poses in the objects' {frame} frame."
     return ""
 
 
-class _Stopped(Exception):
+class _StopExport(Exception):
     """The export was stopped; nothing of it is left."""
 
 
@@ -229,8 +224,10 @@ class DatasetWriter:
             split = about.split or split_of(object_, self.shares)
             yield DatasetRun(asset_name(spec.gripper), split, object_, unique, folder, about)
 
-    def write(self, run: DatasetRun) -> None:
+    def write(self, run: DatasetRun, is_stopped: Callable[[], bool]) -> None:
         """Write the grasps of a run, or note why it cannot be read."""
+        if is_stopped():
+            raise _StopExport
         with ExitStack() as stack:
             try:
                 journal = stack.enter_context(run.folder.journal())

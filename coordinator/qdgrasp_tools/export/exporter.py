@@ -107,7 +107,7 @@ def format_of(name: str) -> ExportFormat:
 
 
 def run_folders(directories: Sequence[Path]) -> list[RunFolder]:
-    """Return the runs in folders of runs and of campaigns, each once; raises FolderError for another."""
+    """Return the runs in folders of runs and campaigns, each once; raises FolderError."""
     found = []
     for directory in directories:
         is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign

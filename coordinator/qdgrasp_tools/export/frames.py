@@ -49,17 +49,6 @@ def scene_original_base(gripper: SceneGripper) -> OriginalBase | None:
     return original_base(gripper.base_link, parse_robot(Path(gripper.name), element))
 
 
-def original_base_poses(poses: Floats, base: OriginalBase) -> Floats:
-    """Return poses (n, 7) of the base link of a hand's own URDF from those of its base link.
-
-    Poses are xyz [m] and xyzw.
-    """
-    positions = np.tile(base.position, (len(poses), 1))
-    moved = poses[:, :3] + rotate(poses[:, 3:], positions)
-    orientation = np.array(base.orientation) / np.linalg.norm(base.orientation)
-    return turn_hand_axes(np.hstack([moved, poses[:, 3:]]), orientation)
-
-
 def to_matrices(poses: Floats) -> Floats:
     """Convert poses (n, 7) to homogeneous matrices (n, 4, 4)."""
     quaternions = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)

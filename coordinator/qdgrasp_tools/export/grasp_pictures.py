@@ -19,7 +19,7 @@ PALM_COLOUR = "#a8b3bf"  # Of links whose touch makes no success
 
 
 def grasp_card(scene: Scene, rows: Rows, title: str, figures: Iterable[html_cards.Figure]) -> str:
-    """Return HTML: a picture of a few of the rows' hands as they settled, and figures in words."""
+    """Return HTML: a picture of a few of the rows' hands as they settled, and figures."""
     shown, picture = rows[rows["outcome"] >= Outcome.DROPPED], None
     if len(shown):
         view = views.view_of_hands(scene, shown, views.best_azimuth(scene, shown), CARD_PIXELS)
@@ -28,7 +28,7 @@ def grasp_card(scene: Scene, rows: Rows, title: str, figures: Iterable[html_card
 
 
 def grasp_scene(scene: Scene, pose: Floats, joints: Floats, frame: Frame) -> trimesh.Scene:
-    """Return the object, and the hand with its root link at a pose (7,) in a frame of the object [m].
+    """Return object and hand, its root link at a pose (7,) in a frame of the object [m].
 
     The nodes are `object`, and those of `hand_scene`.
     """

@@ -1,4 +1,4 @@
-"""Reads and chooses grasps of a run from its journal, some thousands at a time; describes them."""
+"""Reads, chooses and describes grasps of a run, some thousands at a time."""
 
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence

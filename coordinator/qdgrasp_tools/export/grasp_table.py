@@ -1,4 +1,4 @@
-"""The table of grasps that every file format is written from and read into, and its metadata."""
+"""The table of grasps that each format is written from and read into; its metadata."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,7 +85,7 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     original_base: OriginalBase | UnsetType = UNSET
     """The base link of the hand's own URDF in `gripper_frame`, where that link was added to the hand.
 
-    A pose of it is a pose of `gripper_frame` times this one (`frames.original_base_poses`).
+    A pose of it is a pose of `gripper_frame` times this one.
     """
     object: str
     object_file: str
@@ -286,7 +286,7 @@ class RunTable(GraspTable):
 
 
 def exact_decimals(values: NDArray[np.floating]) -> Floats:
-    """Return numbers as float64 whose shortest decimals are those of the numbers in their precision."""
+    """Return numbers as float64 with the shortest decimals of their own precision."""
     return np.asarray(values, dtype="U32").astype(np.float64)
 
 

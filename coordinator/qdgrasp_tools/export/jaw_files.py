@@ -1,4 +1,4 @@
-"""Files of matrices with axes of a jaw, +z toward the object and x across: ACRONYM and GraspGen.
+"""ACRONYM and GraspGen: matrices with axes of a jaw, +z toward the object, x across.
 
 ACRONYM HDF5: Eppner et al. 2021, "ACRONYM: A Large-Scale Grasp Dataset Based on Simulation", and the data's
 own keys. In its simulation an open gripper closed at a transform, and the motion of the object meanwhile was

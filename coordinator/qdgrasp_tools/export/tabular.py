@@ -235,7 +235,7 @@ def read_parquet(path: Path) -> GraspTable:
 
 
 def read_shards(files: Iterable[Path], gripper: str, object_: str, metadata: GraspMetadata) -> GraspTable:
-    """Read the grasps of a hand on an object from the Parquet files of a data set, named RUN/NUMBER."""
+    """Read the grasps of a hand on an object from a data set's Parquet, named RUN/NUMBER."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -245,7 +245,7 @@ def read_shards(files: Iterable[Path], gripper: str, object_: str, metadata: Gra
 
 
 def _table_of(table: Any, metadata: GraspMetadata, begins: Iterable[str] = ()) -> GraspTable:
-    """Convert a table of Arrow; its poses are those in `base_to_object`, always at the centre of mass."""
+    """Convert a table of Arrow; its poses are those in `base_to_object`, CoM frame."""
     simulated = table[POSE_COLUMN].combine_chunks().flatten()
     joints = [name for name in table.column_names if name.startswith(PREGRASP)]
     starts = [np.asarray(table[name], dtype=np.float64) for name in joints]

@@ -37,7 +37,7 @@ WXYZ = "w, then xyz = [x, y, z]"
 
 
 def to_yaml(values: Any) -> str:
-    """Write values as YAML, innermost lists and mappings in one line, texts of several lines as such."""
+    """Return values as YAML, innermost lists in one line, texts of several lines as such."""
     import yaml
 
     class Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # chosen at run time

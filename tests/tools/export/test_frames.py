@@ -14,7 +14,6 @@ from qdgrasp_tools.export.frames import (
     change_frame,
     from_matrices,
     jaw_turn,
-    original_base_poses,
     scene_original_base,
     to_matrices,
     turn_hand_axes,
@@ -43,15 +42,6 @@ def test_the_centre_of_mass_stands_where_the_mesh_has_it(poses: np.ndarray) -> N
         np.testing.assert_array_equal(change_frame(poses, com, frame, frame), poses)
     there = change_frame(poses, com, COM, MESH)
     np.testing.assert_allclose(change_frame(there, com, MESH, COM), poses, atol=1e-15)
-
-
-def test_poses_of_the_original_base_link_are_those_of_another_library(poses: np.ndarray) -> None:
-    turn = Rotation.from_rotvec([0.1, -0.4, 0.7])
-    base = OriginalBase(link="palm", position=(0.01, -0.08, 0.03), orientation=tuple(turn.as_quat()))
-    found = to_matrices(original_base_poses(poses, base))
-    offset = np.eye(4)
-    offset[:3, :3], offset[:3, 3] = turn.as_matrix(), base.position
-    np.testing.assert_allclose(found, to_matrices(poses) @ offset, atol=1e-12)
 
 
 def test_a_scene_tells_the_original_base_link_of_a_hand_that_was_given_another(scene: Scene) -> None:
