@@ -1,18 +1,11 @@
 """Arrays that come from outside, checked, and whole rows moved as bytes.
 
-Files of plain numpy arrays are read without trust: nothing in them is unpickled. Arrays that others give
+Of files of plain numpy arrays nothing is unpickled. Arrays that others give
 are of the expected kind and shape, or refused in words. Structured rows are moved as bytes, in a tenth of
 the time that numpy takes to move them field by field.
 """
 
-import math
-import os
-import resource
-import tokenize
-import zipfile
-import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -31,69 +24,14 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[np.generic]]:
     read, or is no npz file of plain arrays.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            if (size := sum(member.file_size for member in members)) > LARGEST_ARRAYS:
-                raise InputError(
-                    f"'{path}' holds {size} bytes of arrays, and at most {LARGEST_ARRAYS >> 20} MiB are "
-                    f"read, so no {what} can be."
-                )
-            return {member.filename.removesuffix(".npy"): _read_array(archive, member) for member in members}
+        with np.load(path, allow_pickle=False) as archive:
+            return dict(archive)
     except OSError as error:
         raise InputError(f"No {what} can be read at '{path}': {error.strerror or error}.") from None
-    except (*DAMAGED, zipfile.BadZipFile, zlib.error):
+    except Exception:  # noqa: BLE001  # numpy and zipfile raise what they like for a damaged file
         raise InputError(f"'{path}' is not an npz file of plain arrays, so no {what} can be read.") from None
 
 
-@contextmanager
-def bounded_memory(path: Path) -> Iterator[None]:
-    """Have a reader of a file get `MemoryError` beyond the room that files of its size need.
-
-    A small file can state, or unfold to, any number of bytes, and libraries make room for them unasked.
-    """
-    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[DATA_PAGES])
-    size = sum(file.stat().st_size for file in (path.rglob("*") if path.is_dir() else [path]))
-    stacks = (IO_THREADS + (os.cpu_count() or 1)) * threads_stack()
-    most = pages * resource.getpagesize() + LEAST_ROOM + MOST_UNFOLDING * size + stacks
-    if soft != resource.RLIM_INFINITY:
-        most = min(most, soft)
-    resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
-
-
-def threads_stack() -> int:
-    """The bytes that a new thread has for its stack."""
-    stack, _ = resource.getrlimit(resource.RLIMIT_STACK)
-    return DEFAULT_STACK if stack == resource.RLIM_INFINITY else stack
-
-
-def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np.generic]:
-    """Return the array in a member of an npz file, whose header may claim no more than it holds."""
-    with archive.open(member) as file:
-        version = np.lib.format.read_magic(file)
-        shape, _, dtype = HEADERS[version](file, max_header_size=LARGEST_HEADER)
-        size = math.prod(shape) * dtype.itemsize
-        if min(shape, default=0) < 0 or not dtype.itemsize or size != member.file_size - file.tell():
-            raise ValueError("the header states another size")
-    with archive.open(member) as file:
-        return np.asarray(np.lib.format.read_array(file, allow_pickle=False, max_header_size=LARGEST_HEADER))
-
-
-DATA_PAGES = 5  # The place in `statm` of the pages that RLIMIT_DATA limits
-LEAST_ROOM, MOST_UNFOLDING = 1 << 27, 20  # Bytes for any file, and for each of its own
-IO_THREADS = 8  # Threads that Arrow reads with, besides one for each core
-DEFAULT_STACK = 1 << 23  # Bytes of a thread's stack where no limit is set, and more than that
-LARGEST_ARRAYS = 1 << 28  # Bytes of all arrays in a file that is read
-LARGEST_HEADER = 10_000  # Characters of an array's header
-HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-DAMAGED = (
-    ValueError, EOFError, TypeError, AttributeError, KeyError, NotImplementedError, RuntimeError,
-    SyntaxError, tokenize.TokenError,
-)  # fmt: skip
 REAL = "fiu"  # Kinds of arrays that hold real numbers
 
 

@@ -11,14 +11,12 @@ the 600-cell and its dual).
 """
 
 from itertools import permutations, product
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats, multiply, unit
 
-Number = TypeVar("Number", bound=np.number)
 PER_METRE = 100  # Cells in a metre: an edge is 1 cm, cell k is from k - 0.5 to k + 0.5 cm
 _REACH = 1 << 20  # `cell_keys` distinguishes cells with components below this: positions within 10 km
 
@@ -35,17 +33,6 @@ def cell_keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     """One number per cell (n, 3), equal for equal cells only: (n,), for sets and for counting."""
     shifted = cells + _REACH
     return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
-
-
-def best_per_cell(
-    cells: NDArray[np.int64], values: NDArray[Number]
-) -> tuple[NDArray[np.int64], NDArray[Number]]:
-    """Return the greatest of `values` (n,) per distinct cell (n, 3), in lexicographic order."""
-    _, first, place = np.unique(cell_keys(cells), return_index=True, return_inverse=True)
-    order = np.argsort(values, kind="stable")
-    greatest = np.zeros(len(first), dtype=values.dtype)
-    greatest[place[order]] = values[order]  # of several, the last stays
-    return cells[first], greatest
 
 
 BINS = 60

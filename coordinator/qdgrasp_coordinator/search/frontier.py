@@ -108,16 +108,14 @@ class Frontier(ABC):
     def worth(self, places: Places) -> Floats:
         """Return the estimated worth of a try in each of `places` (n,), 0 to 1."""
 
-    def best(self, n: int, generator: np.random.Generator, among: Places | None = None) -> Places:
-        """Return the `n` of the edge, or of `among`, that are worth most; fewer if there are fewer.
+    def best(self, n: int, generator: np.random.Generator) -> Places:
+        """Return the `n` of the edge that are worth most; fewer if there are fewer.
 
         Among equals `generator` draws.
         """
         places, (least, greatest) = self.edge, self._within
-        if among is None:  # cells that may be at a wanted distance from a contact point
-            places = places[(self._farthest[places] >= least) & (self._distances[places] <= greatest)]
-        else:
-            places = among
+        # Only cells that may be at a wanted distance from a contact point.
+        places = places[(self._farthest[places] >= least) & (self._distances[places] <= greatest)]
         return select_top(places, self.worth(places), n, generator)
 
     def dead_ends(self, positions: Floats) -> NDArray[np.int32]:
@@ -158,9 +156,8 @@ class EliteStore:
     def __init__(self, places: int, axis: Vector, posture: int) -> None:
         self._axis = np.array([axis], dtype=np.float64)
         self._slots = np.full(places, NO_SLOT, np.int32)
-        fields = [("place", "i8"), ("outcome", "u1"), ("rank", "f8")]
         vectors = [("point", "f8", (3,)), ("aside", "f8", (3,)), ("posture", "f4", (posture,))]
-        self._kept = np.zeros(FIRST_CAPACITY, [*fields, *vectors])
+        self._kept = np.zeros(FIRST_CAPACITY, [("rank", "f8"), *vectors])
         self._size = 0
 
     def __len__(self) -> int:
@@ -176,7 +173,7 @@ class EliteStore:
         _, first = np.unique(places[best_first], return_index=True)
         best = best_first[first]  # the best row of each distinct place, of ties the first
         best = best[ranks[best] > self.ranks(places[best])]
-        self._keep(self._slots_for(places[best]), places[best], rows[best], ranks[best])
+        self._keep(self._slots_for(places[best]), rows[best], ranks[best])
 
     def points(self, places: Places) -> Floats:
         """The surface points (n, 3) [m] that the grasps at `places` (n,) look at."""
@@ -221,13 +218,11 @@ class EliteStore:
         self._size += len(new)
         return self._slots[places]
 
-    def _keep(self, slots: NDArray[np.int32], places: Places, rows: Rows, ranks: Floats) -> None:
+    def _keep(self, slots: NDArray[np.int32], rows: Rows, ranks: Floats) -> None:
         behind = self._kept["posture"].shape[1]
         rotations = unit(rows["base_to_object"][:, 3:].astype(np.float64))
         first, _ = tangents(np.broadcast_to(self._axis, (len(rows), 3)))
         columns = {
-            "place": places,
-            "outcome": rows["outcome"],
             "rank": ranks,
             "point": rows["surface_point"],
             "aside": rotate(rotations, first),

@@ -7,7 +7,6 @@ from qdgrasp_assets.geometry.rotation import Floats, multiply, unit
 from qdgrasp_coordinator.metrics.cells import (
     BINS,
     MIDDLES,
-    best_per_cell,
     cell_keys,
     cells,
     clear_orientations,
@@ -46,17 +45,6 @@ def test_keys_are_equal_for_equal_cells_only() -> None:
 def test_keys_hold_for_far_cells(far: int) -> None:
     grid = np.array([[far, 0, 0], [0, far, 0], [0, 0, far], [0, 0, 0], [far, far, far]])
     assert len(np.unique(cell_keys(grid))) == len(grid)
-
-
-def test_the_best_of_each_cell_is_its_greatest_value_and_cells_are_in_order() -> None:
-    random = np.random.default_rng(1)
-    found, values = random.integers(-3, 4, (500, 3)), random.integers(0, 3, 500)
-    distinct, greatest = best_per_cell(found, values)
-    expected: dict[tuple[int, ...], int] = {}
-    for cell, value in zip(map(tuple, found.tolist()), values.tolist(), strict=True):
-        expected[cell] = max(value, expected.get(cell, 0))
-    best = [(tuple(cell), value) for cell, value in zip(distinct.tolist(), greatest, strict=True)]
-    assert best == sorted(expected.items())
 
 
 RANDOM = np.random.default_rng(3)

@@ -63,18 +63,6 @@ def test_before_anything_is_learned_near_cells_come_first(frontier: ValueFrontie
     assert frontier.centres(frontier.best(9, generator()))[:, 2] == pytest.approx(np.full(9, -0.01))
 
 
-def test_a_dead_end_is_not_tried_for_ever(frontier: ValueFrontier) -> None:
-    among = equals(frontier)
-    times: dict[int, int] = {}
-    for number in range(104):
-        best = frontier.best(5, generator(number), among)
-        frontier.count_tries(best)
-        frontier.count_dead_ends(best)
-        for place in best.tolist():
-            times[place] = times.get(place, 0) + 1
-    assert max(times.values()) - min(times.values()) <= 1
-
-
 def test_cells_that_no_contact_point_is_near_or_far_enough_from_are_not_aimed_at() -> None:
     """All are of cells around a success whose contact point is 3 cm below it."""
     random = np.random.default_rng(0)
