@@ -7,7 +7,6 @@ part of it.
 
 import hashlib
 import os
-import re
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -34,7 +33,7 @@ from qdgrasp_assets.geometry.collision_parts import (
     ignore_progress,
     limited_parts,
 )
-from qdgrasp_assets.geometry.mesh import Floats, parts_to_obj
+from qdgrasp_assets.geometry.mesh import Floats, parts_to_obj, read_obj
 from qdgrasp_assets.geometry.mesh_io import check_file, linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.resolution import resolution_notes, thin_share
@@ -113,11 +112,6 @@ MAX_CONTAINERS = 16
 MAX_POINTS = 1_000_000
 FARTHEST = 10.0  # Greatest coordinate [m]
 LONGEST_NORMAL = 1.001
-NUMBER = rb"-?\d{1,2}\.\d{9}"
-PARTS = re.compile(
-    rb"(?:o part_\d{1,6}\n(?:v %b %b %b\n){4,}+(?:f \d{1,7} \d{1,7} \d{1,7}\n){4,}+)++" % ((NUMBER,) * 3)
-)
-"""The text of convex parts, as `parts_to_obj` writes it."""
 _ENCODER = msgspec.msgpack.Encoder(order="sorted")
 
 
@@ -169,17 +163,11 @@ def _coordinates(blob: bytes) -> NDArray[np.float32]:
 
 
 def _has_convex_parts(text: bytes) -> bool:
-    """Return whether an OBJ text is of solids, each of which names its own vertices."""
-    if not PARTS.fullmatch(text):
-        return False
-    first = 1
-    for part in text.split(b"o part_")[1:]:
-        after = first + part.count(b"\nv ")
-        corners = np.array(part[part.index(b"\nf ") :].replace(b"f", b"").split(), dtype=np.int64)
-        if corners.min() < first or corners.max() >= after:
-            return False
-        first = after
-    return True
+    """Return whether an OBJ text is of solids of finite vertices within reach; else also `ValueError`."""
+    read = read_obj(text.decode("ascii"))
+    used = np.concatenate([np.zeros(0, np.int64), *(group.ravel() for group in read.groups)])
+    is_near = len(used) and (np.abs(read.vertices) <= FARTHEST).all()  # not true of nan
+    return bool(is_near and used.min() >= 0 and used.max() < len(read.vertices))
 
 
 def shape_of(

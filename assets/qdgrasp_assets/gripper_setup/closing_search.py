@@ -3,7 +3,7 @@
 A hand closes well where little is left of the distances between its fingertips. So each way of closing is
 judged by the share of the open hand's distances that is left on the way from open to closed. Outer joints
 bend a finger and inner ones turn or spread it: the outermost joints of a finger close it, unless others bring
-it much nearer. In a hand with a thumb, the thumb is turned to face the other fingers. `finger_contact`
+it much nearer. In a hand with a thumb, the thumb is turned to face the other fingers. `closing_motion`
 decides how far fingers close before they meet.
 """
 

@@ -12,9 +12,13 @@ from msgspec import UNSET, Struct, structs
 
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
-from qdgrasp_assets.gripper_setup.closing_motion import PARALLEL, ClosingMotion
+from qdgrasp_assets.gripper_setup.closing_motion import (
+    PARALLEL,
+    ClosingMotion,
+    closing_leaders,
+    stop_at_contact,
+)
 from qdgrasp_assets.gripper_setup.closing_search import find_closing
-from qdgrasp_assets.gripper_setup.finger_contact import closing_leaders, stop_at_contact
 from qdgrasp_assets.gripper_setup.grasp_inference import joint_motor, pinches
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, overlapping_pairs
 from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable, OriginalBase
