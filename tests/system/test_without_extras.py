@@ -20,6 +20,7 @@ from qdgrasp_tools.cli.monitor_process import app as monitor_app
 ROOT = Path(__file__).parents[2]
 IMPORTED = {
     "prometheus-client": "prometheus_client",
+    "sse-starlette": "sse_starlette",
     "mujoco-warp": "mujoco_warp",
     "warp-lang": "warp",
     "mujoco": "",  # the same modules as mujoco-core, which is no extra
