@@ -209,16 +209,7 @@ def render(
             "--out", "-o", metavar="FILE", help="A picture (.png) or a film (.gif); its folder is made."
         ),
     ],
-    grasp: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")
-    ] = None,
-    grasps: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WHICH",
-            help="Several beside each other: best:12, diverse:12, random:12, or rows' numbers: 3,17,22.",
-        ),
-    ] = None,
+    grasp: Annotated[int, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")],
     trial: Annotated[int | None, typer.Option(min=0, help="Show this trial of the grasp instead.")] = None,
     what: Annotated[
         RenderFlag | None, typer.Option(help="Which part of the evaluation a film has; default: all.")
@@ -228,7 +219,7 @@ def render(
         typer.Option(
             metavar="WxH",
             show_default=False,
-            help="Width and height [pixels]; default: 640x560, with --grasps 320x280 of each.",
+            help="Width and height [pixels]; default: 640x560.",
         ),
     ] = None,
     view: Annotated[
@@ -250,22 +241,14 @@ def render(
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
-    """Carry one evaluation of a run out again and draw it, with its contacts and frames;
-    or draw several grasps beside each other.
+    """Carry one evaluation of a run out again and draw it, with its contacts and frames.
 
     Any row of the journal can be shown, also one that failed. A picture has the hand after closing, or as it
     was placed if it did not close; a film goes through all of it, 3.2 times slower than it was. The
     result is compared with the recorded one: where they differ that is said, and the exit code is 1.
 
-    With --grasps nothing is carried out again: each hand is drawn as it is recorded after closing, all from
-    one side and at one scale, each above its number, outcome, score and margin.
-
     Example: qdgrasp render runs/demo --grasp 17 -o grasp.gif
-
-    Example: qdgrasp render runs/demo --grasps best:12 -o sheet.png
-    """  # noqa: D205  # typer joins the lines
-    if (grasp is None) == (grasps is None):
-        raise InputError("Name one row with --grasp N, or several with --grasps, as in --grasps best:12.")
+    """
     from qdgrasp_tools.verification.evaluation_picture import (
         LARGEST,  # what draws takes its time to load
         SMALLEST,
@@ -274,14 +257,6 @@ def render(
     )
     from qdgrasp_tools.verification.replay_client import ReplayOptions, replay_target
 
-    if grasps is not None:
-        alone = options.given(trial=trial, what=what, parts=parts or None)
-        if alone:
-            raise InputError(f"--{next(iter(alone))} is about one evaluation; leave it out with --grasps.")
-        _render_sheet(
-            directory, grasps, OutFile(out, suffixes=(".png",), force=force), size, view, pregrasp, no_labels
-        )
-        return
     output = OutFile(out, suffixes=tuple(LARGEST), force=force)
     output.check()
     suffix = out.suffix.lower()
@@ -297,7 +272,7 @@ def render(
         parts,
         pregrasp,
     )
-    shown = replay_target(RunFolder.open(directory), grasp or 0, trial)
+    shown = replay_target(RunFolder.open(directory), grasp, trial)
     echo(f"replaying row {shown.number} of {directory}", err=True)
     with lifetime("qdgrasp render") as stop:
         unlike = write_evaluation(shown, wish, output, stop, has_labels=not no_labels)
@@ -308,38 +283,6 @@ def render(
     echo(f"{outcome_words(shown.outcome)}, row {shown.number}: drawn in {out}")
     if unlike:
         raise typer.Exit(1)
-
-
-def _render_sheet(
-    directory: Path,
-    grasps: str,
-    output: OutFile,
-    size: str | None,
-    view: str | None,
-    pregrasp: bool,
-    no_labels: bool,
-) -> None:
-    from qdgrasp_tools.verification.grasp_sheet import (
-        LARGEST_PANEL,  # what draws takes its time to load
-        SMALLEST_PANEL,
-        SheetChoice,
-        write_sheet,
-    )
-
-    output.check()
-    choice = SheetChoice.parse(grasps)
-    panel = _picture_size(size or "320x280", SMALLEST_PANEL, LARGEST_PANEL, " with --grasps")
-    camera = _camera_view(view)
-    chosen = choice.read(RunFolder.open(directory))
-    with lifetime("qdgrasp render") as stop:
-        title = choice.title(chosen)
-        write_sheet(
-            chosen, title, panel, output, stop, view=camera, pregrasp=pregrasp, has_labels=not no_labels
-        )
-        if stop.is_set:
-            raise typer.Exit(stop.exit_code)
-    numbers = ", ".join(map(str, chosen.numbers.tolist()))
-    echo(f"{title}; drawn in {output.path}: {numbers}")
 
 
 def _picture_size(text: str, smallest: "PictureSize", largest: "PictureSize", of: str) -> "PictureSize":

@@ -7,7 +7,6 @@ from queue import SimpleQueue
 from typing import Any
 
 import pytest
-from PIL import Image
 from tests.common import PATIENCE
 from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.recorded_runs import random_rows, record
@@ -105,48 +104,6 @@ def test_a_row_without_a_pose_is_refused(path: Path, tmp_path: Path) -> None:
         "There is nothing of row 2 to show: it is a dead end, for which decoding found no pose."
     )
     assert not (tmp_path / "a.png").exists()
-
-
-def sheet(path: Path, *arguments: object) -> Result:
-    return CliRunner().invoke(app, ["render", *map(str, (path, *arguments))])
-
-
-def test_grasps_are_drawn_beside_each_other(path: Path, tmp_path: Path) -> None:
-    done = sheet(
-        path, "--grasps", "best:2", "-o", tmp_path / "new" / "a.png", "--size", "160x120", "--no-labels"
-    )
-    assert done.exit_code == 0, done.exception
-    assert done.stdout == f"jaw on block: 2 grasps, the best first; drawn in {tmp_path}/new/a.png: 1, 3\n"
-    with Image.open(tmp_path / "new" / "a.png") as image:
-        assert image.size == (2 * 160 + 6, 120)
-
-
-@pytest.mark.parametrize(
-    ("flags", "words"),
-    [
-        ((), "Name one row with --grasp N, or several with --grasps, as in --grasps best:12."),
-        (("--grasp", 1, "--grasps", "1,3"), "Name one row with --grasp N, or several with --grasps"),
-        (("--grasps", "1", "--trial", 2), "--trial is about one evaluation; leave it out with --grasps."),
-        (("--grasps", "1", "--what", "closing"), "--what is about one evaluation"),
-        (("--grasps", "1", "--parts"), "--parts is about one evaluation"),
-        (
-            ("--grasps", "1", "--size", "10x10"),
-            "--size must be 160x120 to 960x720 with --grasps, got '10x10'.",
-        ),
-        (("--grasps", "1", "--from", "x"), "--from must be AZIMUTH,ELEVATION in degrees"),
-        (("--grasps", "top:3"), "--grasps must be best:N, diverse:N, random:N, or numbers of rows"),
-    ],
-)
-def test_a_sheet_that_cannot_be_drawn_is_refused(path, tmp_path, flags, words) -> None:
-    refused = sheet(path, "-o", tmp_path / "a.png", *flags).exception
-    assert isinstance(refused, InputError)
-    assert str(refused).startswith(words)
-    assert not (tmp_path / "a.png").exists()
-
-
-def test_a_sheet_is_no_film(path: Path, tmp_path: Path) -> None:
-    refused = sheet(path, "--grasps", "best:2", "-o", tmp_path / "a.gif").exception
-    assert str(refused) == f"{tmp_path}/a.gif must end with .png; name another path with --out."
 
 
 def refusal(*arguments: object) -> BaseException | None:
