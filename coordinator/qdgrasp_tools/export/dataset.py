@@ -1,7 +1,6 @@
 """Exports runs and campaigns as one data set: files by hand and split, index, card.
 
-Only some thousand grasps are in memory at a time, and a line for each run. The head of the card is what the
-Hugging Face hub reads: licence, size, and which files are which table.
+Only some thousand grasps are in memory at a time. The head of the card is what the Hugging Face hub reads.
 """
 
 import hashlib
