@@ -184,13 +184,13 @@ def find_object(spec: RunSpec) -> ObjectModel:
     name = spec.object
     if spec.scale is not None and is_in_catalog(name):
         raise AssetError(
-            f"The object '{name}' of the catalog has its own size: leave --scale and --units out, which are "
-            "for mesh files."
+            f"The object '{name}' of the catalog has its own size: leave --units out, which is for mesh "
+            "files."
         )
     if spec.mesh is not None and is_in_catalog(name):
         raise AssetError(
-            f"The object '{name}' of the catalog is taken as it is: leave --simplify, --remesh, --hull and "
-            "--glued out, which are for mesh files."
+            f"The object '{name}' of the catalog is taken as it is: leave --mesh out, which is for mesh "
+            "files."
         )
     if name in STAND_INS:
         target = stand_in(name)

@@ -73,7 +73,7 @@ def _end_out_of_time(_number: int, _frame: FrameType | None) -> None:
 
 
 def _too_large(means: str) -> str:
-    return f"The mesh takes more than {means}; simplify it, for example with --simplify 20000."
+    return f"The mesh takes more than {means}; simplify it, for example with --mesh simplify=20000."
 
 
 if __name__ == "__main__":

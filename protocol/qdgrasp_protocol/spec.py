@@ -1,21 +1,21 @@
 """Specs of runs: frozen structs, read strictly from TOML or from flags.
 
-Flags and TOML say the same things; a run folder holds the full spec, so that `qdgrasp run DIR/spec.toml`
-repeats it. Workers and batch size are not part of a spec: no result depends on them.
-
-TOML that may come from a stranger is read with limits. The standard library's reader recurses into lists,
-takes numbers of any length, and remembers every beginning of a dotted key: 200 KB of `a.a.a` take all memory
-there is.
+`RunSpec` is the one definition of every key: its type, bounds and text, in files, flags and errors. A run
+folder holds the full spec, so that `qdgrasp run DIR/spec.toml` repeats it. Workers are not part of a spec: no
+result depends on them.
 """
 
+import ast
+import inspect
 import re
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import msgspec
 import tomli_w
 from msgspec import Meta, Struct
+from msgspec.inspect import NoneType
 
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.engines import DEFAULT_ENGINE, DEVICE_ENGINE, EngineChoice, engine_names
@@ -29,7 +29,10 @@ SEPARATORS = re.compile(r"[,={\[]")
 
 
 def parse_toml(text: str, where: str, most: int = MAX_TOML_SIZE) -> dict[str, Any]:
-    """The values in a TOML text of at most `most` characters; else an InputError."""
+    """The values in a TOML text, which may come over the bus; else an InputError.
+
+    `tomllib` remembers every beginning of a dotted key, so that 200 KB of `a.a.a` would take all memory.
+    """
     if len(text) > most:
         raise InputError(f"{where} has {len(text)} characters, and none may have more than {most}.")
     if any(_dots_in_key(line) > MAX_DOTS for line in text.splitlines()):
@@ -108,86 +111,80 @@ class ObjectRecord(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Part of a data set, such as train or test."""
 
 
-VALUE_HINTS = {
-    "mass": " (kg)",
-    "scale": " (metres to a unit of the mesh file: 0.001 for millimetres)",
-    "surface_seed": ", or 'seed' in the file of a campaign alone",
-    "resting_pose": ", or 'any'",
-}
-"""Unit of a key's value, or what else it may be, for errors."""
 GOAL_KEYS = ("successes", "grasps", "no_new_cell", "saturation")
 """Keys of a spec's stop criteria besides its budget."""
 STOP_KEYS = ("evaluations", *GOAL_KEYS)
 """Keys of a spec's stop criteria, which may change when a run goes on."""
 
-
 TABLE_KEYS = ("mesh", "about", "first_weights")
 """Keys of a spec whose values are tables, which stand last in TOML."""
+UNTYPED_KEYS = ("about", "poses", "first_weights")
+"""Keys that nobody types: files and other commands give them."""
 OBJECTIVE_KEYS = ("aim_for", "diversity", "grasps_per_cell")
 """Keys of a spec that only the method with an objective has."""
-
 
 OWN_SEARCH = "custom_"
 """Beginning of the names of methods that stand for a program's own search."""
 
 
 class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=False):
-    """One search: scene, method, seed and budget."""
+    """One search: scene, method, seed and budget.
+
+    When a run is asked for, its method decides `aim_for`, `overlaps`, `population`, `generations_in_flight`
+    and `in_flight` unless they are given; their defaults here are the paper's. The line below each key is its
+    help on the command line too (`key_texts`).
+    """
 
     gripper: str
     """A built-in gripper, one on the asset path, or a gripper's TOML file."""
     object: str
     """A built-in object, one on the asset path, or a mesh file."""
     mass: Annotated[float, Meta(gt=0, le=1000)] | None = None
-    """Mass of the object [kg]; None: the catalog's. Needed for a mesh file."""
+    """Mass of the object [kg]; default: the catalog's. Needed for a mesh file."""
     scale: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
-    """Metres to a unit of the object's mesh file; None: 1."""
+    """Metres to a unit of the object's mesh file, 0.001 for mm; default 1."""
     friction: Annotated[float, Meta(gt=0, le=10)] | None = None
-    """Lateral friction coefficient of the object; None: 0.5, the paper's."""
+    """Lateral friction coefficient of the object; default 0.5, the paper's."""
     mesh: MeshPreparation | None = None
-    """Changes of the object's mesh file; None: taken as it is."""
+    """Changes of the object's mesh file; default: taken as it is."""
     about: ObjectRecord | None = None
-    """The object's description by its library; None: its file's name is all that is known."""
+    """The object's description by its library; default: its file's name is all that is known."""
     method: str = DEFAULT_METHOD
-    """A search with its prior.
-
-    When a run is requested it decides `aim_for`, `overlaps`, `population`, `generations_in_flight` and
-    `in_flight` unless they are given; their defaults here are the paper's.
-    """
+    """A search with its prior; `qdgrasp methods` lists them."""
     protocol: ProtocolName = "paper"
+    """Evaluation protocol; default physical of `run` and of a campaign of meshes, else paper."""
     base: BaseName = "paper"
-    """The protocol that the trials of `robust` disturb; no other protocol has one."""
+    """Protocol that the trials of `robust` disturb; no other protocol has one."""
     engine: EngineChoice | None = None
-    """The physics engine, or two in their order; None: Bullet, in which every protocol is simulated."""
+    """Physics engine, or two: what holds in the first is tried in the second; default bullet."""
     approach_distance: Annotated[float, Meta(ge=0, le=1)] | None = None
-    """Distance from which the open hand comes to its pose along its approach axis, touching nothing [m].
-
-    None: it is set at its pose, or with a table comes from `APPROACH_DISTANCE`.
-    """
+    """Distance [m] from which the open hand comes along its approach axis; default 0, with a table 0.1."""
     resting_pose: Annotated[int, Meta(ge=0, lt=MOST_RESTING_POSES)] | Literal["any"] | None = None
-    """How the object rests on a table that the hand comes above, by number, or `any`; None: no table."""
+    """How the object rests on a table, by `qdgrasp asset resting-poses`; default: no table."""
     trials: Trials | None = None
-    """How many trials each success has; None: all, or none where the protocol has none."""
+    """How many trials each success has under `robust`; default: all."""
     finalists: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] | None = None
-    """With sequential trials: how many best poses are wanted; None: the best of each 1 cm cell."""
+    """With sequential trials: how many best poses are wanted; default: the best of each 1 cm cell."""
     aim_for: AimFor | None = None
-    """Objective of a method that has one; None: none, or `touch`, as `aimed` had before 0.2.0."""
+    """Objective of the method aimed; eta needs the protocol robust."""
     diversity: DiversityName | None = None
-    """Features that tell grasps apart in a search with an objective; None: position."""
+    """Features that tell grasps apart in a search with an objective; default position."""
     grasps_per_cell: Annotated[int, Meta(ge=1, le=60)] | None = None
-    """Grasps of different kinds after which a cell is filled; None: 1 by position, else no bound."""
+    """Grasps of different kinds after which a cell is filled; default 1 by position, else no bound."""
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
     successes: Annotated[int, Meta(ge=1, le=10**9)] | None = None
-    """Successes that end the run before its budget is spent; None: no such criterion."""
+    """End with so many successes."""
     grasps: Annotated[int, Meta(ge=1, le=10**9)] | None = None
-    """Grasps, of fitness 1 or more, that end the run; None: no such criterion."""
+    """End with so many grasps (fitness 1 or more)."""
     no_new_cell: Annotated[int, Meta(ge=1, le=10**9)] | None = None
-    """Counted evaluations without a new success cell that end the run; None: no criterion."""
+    """End when so many counted evaluations in a row found no new success cell."""
     saturation: Annotated[float, Meta(ge=0, lt=1)] | None = None
-    """Rate of new niches lately, over the run's mean rate, that ends the run; None or 0: never."""
+    """End when new niches come at this share of the run's mean rate; 0: never."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
+    """Seed of the search."""
     overlaps: Overlaps = "count"
+    """Poses whose open hand overlaps the object count as evaluations, or are drawn again."""
     population: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] = 500
     """Genomes in a generation (the paper's mu = lambda)."""
     mutation_sigma: Annotated[float, Meta(gt=0, le=2)] = 0.1
@@ -197,19 +194,15 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     generations_in_flight: Annotated[int, Meta(ge=1, le=16)] = 1
     """Generation g is asked when generation g minus this has been told; where the number grows, at first."""
     in_flight: Annotated[int, Meta(ge=1, le=100_000)] | None = None
-    """Most genomes in flight, where generations in flight become more as more are told; None: they do not."""
+    """Most genomes in flight, where generations in flight become more as more are told."""
     surface_seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
     """Seed of the surface points, part of the scene."""
     poses: Annotated[tuple[tuple[float, ...], ...], Meta(min_length=1, max_length=MAX_POPULATION)] | None = (
         None
     )
-    """The hand poses that the method `given` scores, and no other method has.
-
-    x y z [m], qx qy qz qw, then synergy label and free joints [rad] where the hand has them; decimals that
-    float32 gives back.
-    """
+    """Hand poses for the method `given`: x y z [m], qx qy qz qw, then synergy label and free joints [rad]."""
     first_weights: FirstWeights | None = None
-    """Weights that other runs learned, for the method `aimed` (`--warm-start`); None: none."""
+    """Weights that other runs learned, for the method `aimed` (`--warm-start`)."""
 
     @property
     def has_own_search(self) -> bool:
@@ -318,8 +311,7 @@ def _spec_fault(values: dict[str, Any], where: str) -> InputError:
         try:
             msgspec.convert(value, fields[key].type)
         except msgspec.ValidationError:
-            expected = _expected_value(fields[key].type) + VALUE_HINTS.get(key, "")
-            return ImpossibleValue(f"{where}: {key}", value, expected)
+            return ImpossibleValue(f"{where}: {key}", value, _expected_value(fields[key].type))
     return InputError(f"{where}: no spec can be made of these values.")
 
 
@@ -330,10 +322,8 @@ def read_run_spec(path: Path, most: int = MAX_TOML_SIZE) -> dict[str, Any]:
     """
     try:
         text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"No spec can be read at '{path}': {error.strerror or error}.") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not TOML: {error}.") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"No spec can be read at '{path}': {getattr(error, 'strerror', error)}.") from None
     return parse_toml(text, str(path), most)
 
 
@@ -366,28 +356,51 @@ def to_toml(spec: RunSpec) -> str:
     return tomli_w.dumps(values) + (f"poses = [\n{lines}]\n" if poses else "") + tomli_w.dumps(tables)
 
 
+def key_texts() -> dict[str, str]:
+    """Return the help of each key that a person may type: the line below it, and the values that it takes."""
+    (body,) = ast.parse(inspect.getsource(RunSpec)).body
+    said = [
+        str(node.value.value)
+        for node in ast.walk(body)
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+    ]
+    keys = msgspec.structs.fields(RunSpec)
+    texts = zip(keys, said[1 : len(keys) + 1], strict=True)  # the first is that of the class
+    return {
+        key.name: f"{text} [{_expected_value(key.type)}]"
+        for key, text in texts
+        if key.name not in UNTYPED_KEYS
+    }
+
+
+NOUNS = {
+    msgspec.inspect.StrType: "text",
+    msgspec.inspect.BoolType: "true or false",
+    msgspec.inspect.IntType: "a whole number",
+    msgspec.inspect.FloatType: "a number",
+}
+VAST = 10**9  # A bound that nobody comes to, and that is not said
+BOUNDS = {"ge": "at least", "gt": "greater than", "le": "at most", "lt": "less than"}
+
+
 def _expected_value(kind: Any) -> str:
     """A field's type in words."""
-    info = msgspec.inspect.type_info(kind)
-    if isinstance(info, msgspec.inspect.UnionType):
-        return next(_expected_value(option) for option in get_args(kind) if option is not type(None))
-    if isinstance(info, msgspec.inspect.LiteralType):
-        return "one of " + ", ".join(repr(value) for value in get_args(kind) or info.values)
-    if isinstance(info, msgspec.inspect.StrType):
-        return "text"
-    if isinstance(info, msgspec.inspect.VarTupleType) and isinstance(
-        info.item_type, msgspec.inspect.FloatType
-    ):
-        return "a list of numbers"
-    if isinstance(info, msgspec.inspect.VarTupleType):
-        return f"1 to {MAX_POPULATION} lists of numbers"
-    if isinstance(info, msgspec.inspect.StructType):
-        fields = (f"{field.name} ({_expected_value(field.type)})" for field in msgspec.structs.fields(kind))
-        return f"a table of {', '.join(fields)}"
-    if isinstance(info, msgspec.inspect.BoolType):
-        return "true or false"
-    words = {"ge": "at least", "gt": "greater than", "le": "at most", "lt": "less than"}
-    limits = {word: getattr(info, name, None) for name, word in words.items()}
-    bounds = [f"{word} {limit}" for word, limit in limits.items() if limit is not None]
-    noun = "a whole number" if isinstance(info, msgspec.inspect.IntType) else "a number"
-    return f"{noun} {' and '.join(bounds)}".strip()
+    return _type_words(msgspec.inspect.type_info(kind))
+
+
+def _type_words(info: msgspec.inspect.Type) -> str:
+    match info:
+        case msgspec.inspect.UnionType():
+            return ", or ".join(_type_words(each) for each in info.types if not isinstance(each, NoneType))
+        case msgspec.inspect.LiteralType():
+            return "one of " + ", ".join(map(repr, info.values))
+        case msgspec.inspect.VarTupleType():
+            is_list = isinstance(info.item_type, msgspec.inspect.FloatType)
+            return "a list of numbers" if is_list else "lists of numbers"
+        case msgspec.inspect.StructType():
+            return (
+                f"a table of {', '.join(f'{each.name} ({_type_words(each.type)})' for each in info.fields)}"
+            )
+    bounds = {word: getattr(info, name, None) for name, word in BOUNDS.items()}
+    limits = [f"{word} {limit}" for word, limit in bounds.items() if limit is not None and limit < VAST]
+    return f"{NOUNS[type(info)]} {' and '.join(limits)}".strip()

@@ -83,7 +83,7 @@ def test_a_scale_is_that_of_the_mesh_file_and_told_by_the_scene(tmp_path):
 
 
 def test_an_object_of_the_catalog_has_its_own_size():
-    sentence = r"'mug' of the catalog has its own size: leave --scale and --units out"
+    sentence = r"'mug' of the catalog has its own size: leave --units out"
     with pytest.raises(AssetError, match=sentence):
         scene(object="mug", scale=0.5)
 

@@ -48,7 +48,7 @@ def test_a_solid_that_nothing_is_wrong_with_stays_as_it_came(tmp_path):
 def test_bodies_that_are_apart_are_one_object_only_if_that_is_said_and_need_a_mass(tmp_path):
     path = write(tmp_path / "pair.stl", trimesh.util.concatenate([block(), block(0.1, 0, 0)]))
     assert read_solid(path).volume == pytest.approx(2 * np.prod(BLOCK), rel=1e-4)
-    with pytest.raises(AssetError, match=r"about 0.08 m of air between them.* say with --glued"):
+    with pytest.raises(AssetError, match=r"about 0.08 m of air between them.* say with --mesh glued"):
         read_object(path, 0.1)
     with pytest.raises(AssetError, match="has no mass; say how heavy the object is with --mass"):
         read_object(path, None, preparation=MeshPreparation(glued=True))
@@ -116,7 +116,7 @@ def klein_bottle() -> trimesh.Trimesh:
     ("mesh", "sentence"),
     [
         (block().apply_scale(1000), r"is 20 x 30 x 50 m large, larger than .* millimetres: add --units mm"),
-        (block().apply_scale(0.001), r"is 2e-05 x 3e-05 x 5e-05 m large, smaller than .* with --scale"),
+        (block().apply_scale(0.001), r"is 2e-05 x 3e-05 x 5e-05 m large, smaller than .* with --units"),
         (
             open_block(),
             r"is not closed \(watertight\): 3 edges have only one triangle, around 1 hole 0\.0500 m wide at "

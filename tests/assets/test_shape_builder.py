@@ -79,7 +79,7 @@ def test_a_mesh_that_cannot_be_used_is_said_in_a_sentence(tmp_path):
     ("build", "means"), [(GREEDY, "0.5 GB of memory"), (READER, "0.5 GB of memory"), (BUSY, "1 s")]
 )
 def test_a_mesh_that_takes_too_much_is_said_in_a_sentence(tmp_path, build, means):
-    sentence = f"The mesh takes more than {means}; simplify it, for example with --simplify 20000.\n"
+    sentence = f"The mesh takes more than {means}; simplify it, for example with --mesh simplify=20000.\n"
     assert ShapeBuild(tmp_path, "block").ended(build) == (UNUSABLE, "", sentence)
 
 

@@ -59,7 +59,7 @@ def _enter(words: Sequence[str], home: Path, environment: dict[str, str], said: 
     getattr(entry, words[0])()
 
 
-SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--population", "60")
+SMALL = ("--gripper", "panda", "--object", "tennis_ball", "--set", "population=60")
 BUDGET = 160
 """Evaluations of a run of which the last are aimed, and that takes long enough to disturb it."""
 LONG = (*SMALL, "--evaluations", BUDGET)

@@ -43,7 +43,7 @@ evaluations = 160
 """
 RUNS = {
     "panda-tennis_ball-contact_rand-s0-population40": ("--method", "contact_rand", "--evaluations", 80),
-    "panda-rubiks_cube-aimed-s0-population40": ("--evaluations", 160, "--generations-in-flight", 1),
+    "panda-rubiks_cube-aimed-s0-population40": ("--evaluations", 160, "--set", "generations_in_flight=1"),
 }
 
 
@@ -84,7 +84,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Commands:
 @pytest.mark.parametrize("name", RUNS)
 def test_each_run_of_a_campaign_is_the_run_that_it_is_alone(qdgrasp, done, name):
     scene = ("--gripper", "panda", "--object", name.split("-")[1], "--protocol", "paper")
-    flags = (*scene, "--population", 40, *RUNS[name])
+    flags = (*scene, "--set", "population=40", *RUNS[name])
     qdgrasp.succeed("run", *flags, "--workers", 1, "--out", "alone")
     assert digest_of(qdgrasp.home / "alone") == digests(done)[name]
 
@@ -113,7 +113,7 @@ def test_an_object_with_enough_grasps_ends_early_and_one_with_few_goes_on_to_the
     def ends() -> dict[str, str]:
         return {name.split("-")[1]: qdgrasp.info(path)["ended"] for name, path in runs(qdgrasp, "out")}
 
-    budgets = ("--grasps-per-object", 12, "--max-evaluations", 14)
+    budgets = ("--grasps", 12, "--evaluations", 14)
     file = write(qdgrasp.home, BUDGETS)
     first = qdgrasp.succeed("campaign", file, *budgets, "--workers", 1, "--out", "out")
     cap = "the budget of 14 evaluations is spent"
@@ -121,7 +121,7 @@ def test_an_object_with_enough_grasps_ends_early_and_one_with_few_goes_on_to_the
     reasons = {"N grasps are found": 1, "the budget of N evaluations is spent": 1}
     assert qdgrasp.succeed("info", "out", "--json").json["ended"] == reasons
     assert "Finished runs ended: 1 as " in first.out
-    larger = ("--grasps-per-object", 15, "--max-evaluations", 60)
+    larger = ("--grasps", 15, "--evaluations", 60)
     qdgrasp.succeed("campaign", "out", *larger, "--workers", 1)
     assert ends()["tennis_ball"] == "15 grasps are found"
     assert ends()["power_drill"] == "the budget of 60 evaluations is spent"
@@ -268,7 +268,7 @@ def test_a_damaged_journal_is_told_of_at_the_end_and_the_others_are_done(done, q
 
 def start(qdgrasp: Commands, rows: int) -> subprocess.Popen[str]:
     """A campaign of which some rows are on disk already."""
-    command = ("campaign", write(qdgrasp.home), "--workers", 2, "--batch-size", 10, "--out", "out")
+    command = ("campaign", write(qdgrasp.home), "--workers", 2, "--out", "out")
     process = qdgrasp.start(*command)
     has_rows(process, qdgrasp.home / "out", rows)
     return process

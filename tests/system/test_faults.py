@@ -35,7 +35,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 def start(qdgrasp: Commands, rows: int) -> tuple[subprocess.Popen[str], Path]:
     """A run of which some rows are on disk already."""
-    process = qdgrasp.start("run", *LONG, "--batch-size", 10, "--workers", 2, "--out", "run")
+    process = qdgrasp.start("run", *LONG, "--workers", 2, "--out", "run")
     folder = qdgrasp.home / "run"
     has_rows(process, folder, rows)
     return process, folder
@@ -115,7 +115,7 @@ def test_a_stopped_run_ends_cleanly_and_can_be_resumed(qdgrasp, long_digest, num
 
 @pytest.mark.slow
 def test_a_full_disk_is_waited_for_and_loses_nothing_that_was_durable(qdgrasp, long_digest):
-    command = ("run", *LONG, "--workers", 2, "--out", "run", "--disk-wait", 2)
+    command = ("run", *LONG, "--workers", 2, "--out", "run")
     _, err = end_of(qdgrasp.start(*command, file_size=110_000), 2)
     assert "paused: " in err
     assert "has had no room for 2 s" in err
@@ -159,7 +159,7 @@ def test_a_run_is_not_lost_to_a_disk_that_is_full_when_it_is_resumed(qdgrasp, lo
     process.communicate(timeout=PATIENCE)
     before = rows_recorded(folder)
     for limit in (20_000, 50_000):  # without room to look at the journal, and to write in it
-        full = qdgrasp.start("resume", "run", "--workers", 1, "--disk-wait", 1, file_size=limit)
+        full = qdgrasp.start("resume", "run", "--workers", 1, file_size=limit)
         _, err = end_of(full, 2)
         assert "no room" in err
         assert rows_recorded(folder) >= before

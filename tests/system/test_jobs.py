@@ -38,7 +38,7 @@ class Running:
 
     def __init__(self, qdgrasp: Commands, *flags: object) -> None:
         self.qdgrasp, self.endpoint, self.folder = qdgrasp, own_endpoint(), qdgrasp.home / "run"
-        command = ("run", *LONG, "--batch-size", 10, "--workers", 2, "--out", "run", "--job", "mugs")
+        command = ("run", *LONG, "--workers", 2, "--out", "run", "--job", "mugs")
         self.process = qdgrasp.start(*command, "--listen", self.endpoint, *flags)
         has_rows(self.process, self.folder, 20)
 
@@ -120,14 +120,16 @@ def test_a_run_stops_after_its_seconds_and_goes_on(qdgrasp, long_digest):
 @pytest.mark.slow
 def test_a_run_ends_with_its_goal_and_is_extended_from_there(qdgrasp):
     goal = ("run", *SMALL, "--evaluations", 200, "--workers", 1)
-    done = qdgrasp.succeed(*goal, "--successes", 12, "--out", "run")
+    done = qdgrasp.succeed(*goal, "--set", "successes=12", "--out", "run")
     assert "12 successes in" in done.out
     assert "It ended early: 12 successes are found." in done.out
     assert "is finished" in qdgrasp("resume", "run").out
-    assert "successes must be at least 12" in sentence(qdgrasp("resume", "run", "--successes", 11))
-    again = qdgrasp.succeed("resume", "run", "--successes", 30, "--no-new-cell", 150, "--workers", 1)
+    assert "successes must be at least 12" in sentence(qdgrasp("resume", "run", "--set", "successes=11"))
+    again = qdgrasp.succeed(
+        "resume", "run", "--set", "successes=30", "--set", "no_new_cell=150", "--workers", 1
+    )
     assert "30 successes in" in again.out
-    qdgrasp.succeed(*goal, "--successes", 30, "--out", "whole")
+    qdgrasp.succeed(*goal, "--set", "successes=30", "--out", "whole")
     assert qdgrasp.digest("run") == qdgrasp.digest("whole")
 
 
@@ -241,7 +243,7 @@ def test_a_worker_stops_whose_router_stands_still(qdgrasp, endpoint, number):
 @pytest.fixture
 def job(qdgrasp: Commands) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A run without workers of its own, and where they find it."""
-    process = qdgrasp.start("run", *LONG, "--batch-size", 10, "--workers", 0, "--out", "run")
+    process = qdgrasp.start("run", *LONG, "--workers", 0, "--out", "run")
     endpoint = qdgrasp.home / "run" / "endpoint"
     wait_for(endpoint.is_file, "the router")
     return process, endpoint.read_text().strip()

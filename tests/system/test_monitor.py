@@ -69,7 +69,7 @@ def watch(qdgrasp: Commands, *arguments: object) -> tuple[int, str, str]:
 def running(qdgrasp: Commands, evaluations: int) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """A run whose two workers are there and of which some rows are on disk, at an endpoint."""
     endpoint, there = own_endpoint(), SimpleQueue[str]()
-    budget = (*SMALL, "--evaluations", evaluations, "--batch-size", 10)
+    budget = (*SMALL, "--evaluations", evaluations)
     command = ("run", *budget, "--workers", 2, "--out", "run", "--job", "mugs")
     process = qdgrasp.start(*command, "--listen", endpoint)
     with ZenohBus.connect(endpoint, PATIENCE) as bus:
@@ -285,8 +285,8 @@ class CountedRun(Watched):
     """A run whose counts are read in every way."""
 
     def __init__(self, qdgrasp: Commands) -> None:
-        spec = (*SMALL, "--evaluations", EVALUATIONS, "--batch-size", 10)
-        super().__init__(qdgrasp, "balls", *spec, "--disk-wait", PATIENCE)
+        spec = (*SMALL, "--evaluations", EVALUATIONS)
+        super().__init__(qdgrasp, "balls", *spec)
 
     def is_watched(self) -> None:
         """Start the page, and a stream of JSON."""

@@ -34,7 +34,7 @@ def test_a_run_ends_with_exactly_its_budget_and_says_what_it_found(reference):
 
 def test_the_spec_in_a_run_folder_repeats_the_run_whatever_the_workers_and_batches(qdgrasp, reference):
     folder, digest, _ = reference
-    qdgrasp.succeed("run", folder / "spec.toml", "--workers", 2, "--batch-size", 7, "--out", "again")
+    qdgrasp.succeed("run", folder / "spec.toml", "--workers", 2, "--out", "again")
     assert qdgrasp.digest("again") == digest
     assert read_run_spec(qdgrasp.home / "again" / "spec.toml") == read_run_spec(folder / "spec.toml")
 
@@ -42,9 +42,9 @@ def test_the_spec_in_a_run_folder_repeats_the_run_whatever_the_workers_and_batch
 @pytest.mark.parametrize("protocol", ["physical", "paper"])
 def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(protocol, qdgrasp, reference):
     scene = ("--gripper", "panda", "--object", "rubiks_cube", "--protocol", protocol, "--engine", "mujoco")
-    asked = ("run", *scene, "--evaluations", 40, "--population", 20)
+    asked = ("run", *scene, "--evaluations", 40, "--set", "population=20")
     qdgrasp.succeed(*asked, "--workers", 1, "--out", "one")
-    qdgrasp.succeed(*asked, "--workers", 2, "--batch-size", 7, "--out", "two")
+    qdgrasp.succeed(*asked, "--workers", 2, "--out", "two")
     assert qdgrasp.digest("one") == qdgrasp.digest("two")
     assert qdgrasp.info("one")["robust"] > 5
     platforms = []
@@ -77,9 +77,9 @@ def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(protoc
 
 def test_a_run_in_two_engines_is_the_same_whatever_the_workers_and_holds_in_both(qdgrasp):
     scene = ("--gripper", "panda", "--object", "tennis_ball", "--protocol", "physical")
-    asked = ("run", *scene, "--engine", "bullet,mujoco", "--evaluations", 60, "--population", 20)
+    asked = ("run", *scene, "--engine", "bullet,mujoco", "--evaluations", 60, "--set", "population=20")
     qdgrasp.succeed(*asked, "--workers", 1, "--out", "one")
-    qdgrasp.succeed(*asked, "--workers", 2, "--batch-size", 7, "--out", "two")
+    qdgrasp.succeed(*asked, "--workers", 2, "--out", "two")
     assert qdgrasp.digest("one") == qdgrasp.digest("two")
     assert qdgrasp.info("one")["engine"] == "bullet,mujoco"
     folder = RunFolder.open(qdgrasp.home / "one")
@@ -128,7 +128,7 @@ def test_a_budget_that_cannot_be_leaves_the_run_as_it_is(qdgrasp, reference, eva
 
 
 def test_redrawn_overlaps_are_rows_but_no_evaluations(qdgrasp):
-    options = (*SMALL, "--method", "approach_rand", "--overlaps", "redraw", "--evaluations", 50)
+    options = (*SMALL, "--method", "approach_rand", "--set", "overlaps=redraw", "--evaluations", 50)
     qdgrasp.succeed("run", *options, "--workers", 1, "--out", "run")
     info = qdgrasp.info("run")
     assert info["evaluations"] == 50
@@ -178,7 +178,7 @@ def test_a_run_that_is_extended_is_the_longer_run(qdgrasp):
     assert info["successes"] > 0
 
 
-CUBE = ("--gripper", "panda", "--object", "rubiks_cube", "--population", 12, "--evaluations", 24)
+CUBE = ("--gripper", "panda", "--object", "rubiks_cube", "--set", "population=12", "--evaluations", 24)
 
 
 @pytest.fixture(scope="module")
@@ -214,7 +214,7 @@ def test_a_robust_run_that_is_killed_in_its_trials_ends_with_the_same_digest(qdg
     process.kill()
     process.wait()
     assert rows_recorded(folder) > 100
-    qdgrasp.succeed("resume", "run", "--workers", 1, "--batch-size", 7)
+    qdgrasp.succeed("resume", "run", "--workers", 1)
     assert qdgrasp.digest("run") == robust[1]
 
 
@@ -237,7 +237,7 @@ def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp,
 @pytest.mark.slow
 def test_sequential_trials_are_fewer_and_the_same_whatever_is_killed(qdgrasp):
     """The best of a cell may have more trials, which its search and its rankings hear of."""
-    asked = ("run", *CUBE[:-1], 48, "--protocol", "robust", "--trials", "sequential")
+    asked = ("run", *CUBE[:-1], 48, "--protocol", "robust", "--set", "trials=sequential")
     qdgrasp.succeed(*asked, "--workers", 1, "--out", "whole")
     info, folder = qdgrasp.info("whole"), qdgrasp.home / "run"
     assert info["eta"]["successes"] == info["successes"]
@@ -247,7 +247,7 @@ def test_sequential_trials_are_fewer_and_the_same_whatever_is_killed(qdgrasp):
     wait_for(lambda: rows_recorded(folder) > 60, "trials")
     process.kill()
     process.wait()
-    qdgrasp.succeed("resume", "run", "--workers", 1, "--batch-size", 7)
+    qdgrasp.succeed("resume", "run", "--workers", 1)
     assert qdgrasp.digest("run") == qdgrasp.digest("whole")
 
 
@@ -309,14 +309,14 @@ def test_the_best_grasp_is_scored_again_on_a_table_where_it_comes_from_above(qdg
     )
 
 
-GROWING = ("--population", 3, "--generations-in-flight", 1, "--in-flight", 18)
+GROWING = ("--set", "population=3", "--set", "generations_in_flight=1", "--set", "in_flight=18")
 
 
 @pytest.mark.slow
 def test_a_run_with_a_growing_number_in_flight_is_the_same_whatever_the_workers_and_goes_on(qdgrasp):
     asked = ("run", *SMALL, *GROWING)
     qdgrasp.succeed(*asked, "--evaluations", 90, "--workers", 1, "--out", "one")
-    qdgrasp.succeed(*asked, "--evaluations", 60, "--workers", 3, "--batch-size", 2, "--out", "three")
+    qdgrasp.succeed(*asked, "--evaluations", 60, "--workers", 3, "--out", "three")
     assert qdgrasp.digest("three") != qdgrasp.digest("one")
     qdgrasp.succeed("resume", "three", "--evaluations", 90, "--workers", 2)
     assert qdgrasp.digest("three") == qdgrasp.digest("one")

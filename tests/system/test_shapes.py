@@ -43,7 +43,16 @@ def test_each_shape_is_built_once_and_runs_are_those_of_scenes_that_are_built_he
     qdgrasp.succeed(*CAMPAIGN, "--workers", 1, "--out", "again")
     assert shapes(qdgrasp) == built
     assert digests(qdgrasp, "again") == digests(qdgrasp, "out")
-    alone = ("run", "--object", parts / "ring.stl", *ASKED, "--in-flight", 400, "--generations-in-flight", 1)
+    alone = (
+        "run",
+        "--object",
+        parts / "ring.stl",
+        *ASKED,
+        "--set",
+        "in_flight=400",
+        "--set",
+        "generations_in_flight=1",
+    )
     qdgrasp.succeed(*alone, "--workers", 1, "--out", "alone")
     (name,) = [name for name in digests(qdgrasp, "out") if "ring" in name and "-s0" in name]
     assert digest_of(qdgrasp.home / "alone") == digests(qdgrasp, "out")[name]

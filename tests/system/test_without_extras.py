@@ -117,7 +117,7 @@ def test_the_main_job_does_without_the_packages_of_extras(qdgrasp: Commands) -> 
     def said(*words: object) -> str:
         return end_of(qdgrasp.start(*words, PYTHONPATH=paths))[0]
 
-    search = ("--method", "antipodal_me_scs", "--population", 10, "--evaluations", 40, "--workers", 1)
+    search = ("--method", "antipodal_me_scs", "--set", "population=10", "--evaluations", 40, "--workers", 1)
     said("run", *SCENE, "--protocol", "physical", "--engine", "mujoco", *search, "--out", "run")
     assert "40 evaluations" in said("info", "run")
     said("render", "run", "--grasp", 0, "-o", "drawn.png")

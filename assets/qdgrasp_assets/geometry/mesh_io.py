@@ -33,23 +33,21 @@ def scale_of(units: str | None, scale: float | None) -> float | None:
     if scale is not None and not 0 < scale <= LARGEST_SCALE:
         unit = "metres to a unit of the mesh file: 0.001 for mm"
         raise ImpossibleValue(
-            "--scale", scale, f"a number greater than 0 and at most {LARGEST_SCALE} ({unit})"
+            "--units", scale, f"a number greater than 0 and at most {LARGEST_SCALE} ({unit})"
         )
     if units is None:
         return scale
     if units not in UNITS:
-        raise UnknownName("unit", units, UNITS, "Or say how many metres a unit of the file is with --scale.")
+        raise UnknownName("unit", units, UNITS, "Or say how many metres it is, as in --units 0.001.")
     if scale is not None:
-        raise InputError(
-            f"--units {units} means --scale {UNITS[units]:g}: give only one, --scale for any other size."
-        )
+        raise InputError(f"The unit {units} means a scale of {UNITS[units]:g} m: give only one of the two.")
     return UNITS[units]
 
 
 def scale_in_words(scale: float) -> str:
     """Return the flag that states a scale."""
     named = [unit for unit, metres in UNITS.items() if abs(scale / metres - 1) < ROUNDING]
-    return f"--units {named[0]}" if named else f"--scale {scale:g}"
+    return f"--units {named[0]}" if named else f"--units {scale:g}"
 
 
 def scale_advice(largest: float) -> str:
@@ -58,7 +56,7 @@ def scale_advice(largest: float) -> str:
         unit for unit, metres in UNITS.items() if 2 * SMALLEST_OBJECT < largest * metres < LARGEST_OBJECT
     ]
     if largest < LARGEST_OBJECT or not fitting:
-        return "say how many metres a unit of the file is with --scale"
+        return "say with --units how many metres a unit of the file is"
     likely = fitting[:1] if largest >= MILLIMETRES else fitting
     looks = " or ".join(WORDS[unit] for unit in likely)
     flags = " or ".join(f"--units {unit}" for unit in likely)

@@ -32,7 +32,7 @@ def surface_faults(mesh: Mesh, *, filled: bool = False) -> tuple[str, ...]:
     if len(mesh.faces) > MOST_TRIANGLES:
         return (
             f"it has {len(mesh.faces)} triangles, and at most {MOST_TRIANGLES} are taken; "
-            "simplify it, for example with --simplify 20000",
+            "simplify it, for example with --mesh simplify=20000",
         )
     return tuple(_surface_faults(mesh, MeshEdges(mesh), filled=filled))
 
@@ -140,21 +140,21 @@ def _surface_faults(mesh: Mesh, edges: MeshEdges, *, filled: bool) -> Iterator[s
             f"it is not closed (watertight): {len(edges.open_edges)} edges have only one triangle, around "
             f"{'1 hole' if count == 1 else f'{count} holes, the largest'} {edges_width(mesh, widest):.4f} m "
             f"wide at {point_in_words(edges_middle(mesh, widest))}; {_unfilled_words(mesh) if filled else ''}"
-            f"close it in the program that drew it, or {'' if filled else fill}take --remesh or --hull"
+            f"close it in the program that drew it, or {'' if filled else fill}take --mesh remesh or hull"
         )
     elif len(odd):
         where = point_in_words(edges_middle(mesh, edges.directed[edges.edge_numbers == odd[0]]))
         yield (
             f"it is not closed (watertight): {len(odd)} edges have an odd number of triangles, one at "
-            f"{where}; take out the sheets that stand in it, or take --remesh or --hull"
+            f"{where}; take out the sheets that stand in it, or take --mesh remesh or hull"
         )
     if edges.is_closed and edges.torn_edges:
         yield (
             f"its triangles are wound both ways along {edges.torn_edges} edges, and cannot all face outward: "
-            "it has no inside, like a Klein bottle; draw it again, or take --remesh or --hull"
+            "it has no inside, like a Klein bottle; draw it again, or take --mesh remesh or hull"
         )
     if edges.is_closed and abs(mesh.volume) < FLATTEST:
-        yield "it is flat: it encloses no volume; give it a thickness, such as that of --remesh"
+        yield "it is flat: it encloses no volume; give it a thickness, such as that of --mesh remesh"
 
 
 TOUCHING = 1e-5  # Vertices nearer to each other than this share of the largest side are one
@@ -305,7 +305,7 @@ def gap_note(mesh: Mesh) -> str:
         return ""
     return (
         f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing; "
-        "give each a file of its own, or say with --glued that they are moved as one"
+        "give each a file of its own, or say with --mesh glued that they are moved as one"
     )
 
 

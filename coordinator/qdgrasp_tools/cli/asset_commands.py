@@ -18,7 +18,6 @@ from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_check import AssetSummary, is_gripper
 from qdgrasp_assets.asset_check import check as check_asset
 from qdgrasp_assets.asset_report import AssetReport
-from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.object_shape import is_in_catalog
@@ -114,7 +113,7 @@ def fetch(
     ] = YCB_HOME,
 ) -> None:
     """Fetch scans of the YCB Object and Model Set (CC BY 4.0) and check them;
-    repeat it to go on.
+    repeat it to continue.
 
     Example: qdgrasp asset fetch ycb_mug ycb_bowl
     """  # noqa: D205  # typer joins the lines
@@ -171,7 +170,6 @@ def check(
 @asset_app.command("resting-poses")
 def resting_poses_of(
     name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="An object of the catalog, or a mesh.")],
-    scale: options.Scale = None,
     units: options.Units = None,
     as_json: options.Json = False,
 ) -> None:
@@ -184,7 +182,7 @@ def resting_poses_of(
     """
     from qdgrasp_assets.geometry.resting_poses import resting_poses  # scipy takes its time
 
-    values = {"gripper": "", "object": name, "scale": scale_of(units, scale)}
+    values = {"gripper": "", "object": name, "scale": options.scale_of_units(units)}
     mass = {} if is_in_catalog(name) else {"mass": 1.0}
     poses = resting_poses(catalog.object_shape(run_spec(values | mass, "asset resting-poses")).collision)
     if as_json:

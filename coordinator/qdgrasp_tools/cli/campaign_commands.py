@@ -2,18 +2,17 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from qdgrasp_assets.geometry.mesh_io import scale_of
-from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.errors import EndedEarly, ImpossibleValue, InputError
+from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import lifetime
+from qdgrasp_protocol.spec import STOP_KEYS
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_file import (
     Campaign,
@@ -33,7 +32,9 @@ from qdgrasp_tools.local.progress import progress_display, progress_messages
 from qdgrasp_tools.local.supervisor import ListenConfig, LocalJobConfig
 
 
+@options.spec_flags("units", "mesh", "protocol", "engine", "evaluations", "grasps")
 def campaign(
+    keys: dict[str, Any],
     what: Annotated[
         Path | None,
         typer.Argument(
@@ -45,8 +46,7 @@ def campaign(
         typer.Option(metavar="DIR|FILE", help="In place of a file: a run of every mesh below a folder."),
     ] = None,
     gripper: Annotated[
-        list[str] | None,
-        typer.Option(help="For meshes: a built-in name or a TOML file; may be repeated."),
+        list[str] | None, typer.Option(help="For meshes: a built-in name or a TOML file; may be repeated.")
     ] = None,
     mass: Annotated[
         float | None, typer.Option(help="For meshes: of each [kg] whose mass no table states.")
@@ -54,137 +54,76 @@ def campaign(
     density: Annotated[
         float | None, typer.Option(min=1, help="For meshes: the same by volume [kg/m3]; water: 1000.")
     ] = None,
-    scale: options.Scale = None,
-    units: options.Units = None,
-    simplify: options.Simplify = None,
-    remesh: options.Remesh = False,
-    hull: options.Hull = False,
-    glued: options.Glued = False,
     skip_unusable: options.SkipUnusable = False,
     method: Annotated[
         list[str] | None, typer.Option(help="For meshes: search method; may be repeated.")
     ] = None,
     seed: Annotated[list[int] | None, typer.Option(help="For meshes: may be repeated; default 0.")] = None,
-    protocol: options.ProtocolOption = None,
-    engine: options.EngineOption = None,
-    diversity: options.Diversity = None,
-    grasps_per_cell: options.GraspsPerCell = None,
-    evaluations: Annotated[
-        int | None, typer.Option(help="For meshes: counted evaluations of each run; default 10000.")
-    ] = None,
     shard: Annotated[
         str | None,
-        typer.Option(metavar="I/N", help="Only the runs of the I-th of N shares, as a job of its own."),
+        typer.Option(metavar="I/N", help="Only the runs of the I-th of N shares, as a separate job."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="The campaign's folder; default runs/<file>.")] = None,
-    grasps_per_object: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            min=1,
-            help="End a run with so many grasps, or when its object is saturated: --saturation, here 0.1.",
-        ),
-    ] = None,
-    max_evaluations: Annotated[
-        int | None,
-        typer.Option(
-            metavar="M",
-            min=1,
-            help="Most counted evaluations of each run; default with --grasps-per-object 20000.",
-        ),
-    ] = None,
-    successes: options.Successes = None,
-    no_new_cell: options.NoNewCell = None,
-    saturation: options.Saturation = None,
     seconds: options.Seconds = None,
     workers: options.Workers = None,
-    batch_size: options.BatchSize = None,
-    checked: options.Checked = CHECKED_SHARE,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
     job: options.Job = None,
-    disk_wait: options.DiskWait = 60.0,
     list_runs: Annotated[bool, typer.Option("--list", help="Print the runs, and do nothing.")] = False,
 ) -> None:
     """Carry out all runs of a campaign;
-    one that was stopped goes on, and finished runs are not repeated.
+    one that was stopped continues, and finished runs are not repeated.
 
     The file crosses grippers, objects, methods, seeds and any other keys of a spec; see docs/campaigns.md.
-    Flags that end a run replace the file's [defaults]; a [[cross]] with its own keeps them.
-
-    With --grasps-per-object an object with many grasps ends early, and one with few goes on to
-    --max-evaluations; with larger ones the same command goes on.
+    Flags that end a run (--evaluations, --grasps, and --set of others) replace the file's [defaults]; a
+    [[cross]] with its own keeps them. With --grasps an object with many grasps ends early, one with few
+    continues to --evaluations, here 20000, or until it is saturated (saturation, here 0.1).
 
     A manifest (CSV, Parquet or TOML) names the objects of a library, with what they weigh and are; with
     --objects every mesh below a folder is grasped instead, whose masses stand in masses.csv there, or are
-    said for all. Both are campaigns of meshes, and take the options for meshes. With --skip-unusable the
-    folder's skipped.csv names what is left out; see docs/objects.md.
+    said for all. Both are campaigns of meshes, and take the options for meshes and all keys of a spec. With
+    --skip-unusable the folder's skipped.csv names what is left out; see docs/objects.md.
 
     --shard shares the runs among several coordinators, each with a job and a folder, runs/<file>-IofN.
 
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
 
     Example: qdgrasp campaign --gripper panda --objects parts --units mm --density 1200 --out runs/parts
-
-    Example: qdgrasp campaign library.csv --gripper panda --grasps-per-object 2000 --max-evaluations 20000
     """  # noqa: D205  # typer joins the lines
-    if None not in (evaluations, max_evaluations):
-        raise InputError("--evaluations and --max-evaluations both say the budget: give one of them.")
-    if max_evaluations is not None and max_evaluations < (grasps_per_object or 0):
-        expected = f"at least {grasps_per_object}, as --grasps-per-object says"
-        raise ImpossibleValue("--max-evaluations", max_evaluations, expected)
-    goals = {
-        "evaluations": max_evaluations,
-        "successes": successes,
-        "grasps": grasps_per_object,
-        "no_new_cell": no_new_cell,
-        "saturation": saturation,
-    }
-    keys = {
-        "gripper": gripper,
-        "method": method,
-        "seed": seed,
-        "protocol": protocol,
-        "engine": engine,
-        "diversity": diversity,
-        "grasps_per_cell": grasps_per_cell,
-        "evaluations": evaluations,
-    }
+    goals = {key: keys.pop(key, None) for key in STOP_KEYS}
+    crossed = options.given(gripper=gripper, method=method, seed=seed)
     if what is not None and is_manifest(what):
         if objects is not None:
             raise InputError(f"'{what}' is a manifest, and --objects is a library too: give one of them.")
         what, objects = None, what
-    metres, path = scale_of(units, scale), _campaign_folder(what, objects, out, shard)
-    prepared = options.preparation(simplify, remesh, hull, glued)
-    rules = LibraryRules(mass=mass, density=density, scale=metres, mesh=prepared, skip_unusable=skip_unusable)
+    path = _campaign_folder(what, objects, out, shard)
     with progress_messages() as tell:
         if objects is not None:
             if what is not None:
-                raise InputError(f"--objects is a campaign of its own: leave out '{what}', or --objects.")
+                raise InputError(f"--objects is a separate campaign: leave out '{what}', or --objects.")
             if None not in (mass, density):
                 raise InputError("--mass and --density say the same of each object: give one of them.")
-            values = {**goals, **options.given(**keys)}
+            rules = LibraryRules(
+                mass=mass, density=density, scale=keys.pop("scale", None), mesh=keys.pop("mesh", None),
+                skip_unusable=skip_unusable,
+            )  # fmt: skip
+            values = keys | crossed | goals
             asked = campaign_of_meshes(objects, rules, values, shard=shard, tell=tell)
-        elif flags := options.given(
-            **keys, mass=mass, density=density, scale=scale, units=units, simplify=simplify,
-            remesh=remesh or None, hull=hull or None, glued=glued or None,
-        ):  # fmt: skip
-            flag = next(iter(flags)).replace("_", "-")
+        elif flags := keys | crossed | options.given(mass=mass, density=density):
             raise InputError(
-                f"--{flag} goes with --objects DIR or a manifest: a campaign's file says its own, see "
-                "docs/campaigns.md."
+                f"{next(iter(flags))} goes with --objects DIR or a manifest: a campaign's file says its "
+                "own, see docs/campaigns.md."
             )
         elif what is None:
             raise InputError(
                 "No campaign is named: give its file or its folder, or a folder of meshes with --objects."
             )
         else:
-            file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
             asked = read_campaign(
-                file,
+                open_campaign(what).path / CAMPAIGN if what.is_dir() else what,
                 goals=goals,
-                rules=rules,
+                rules=LibraryRules(skip_unusable=skip_unusable),
                 shard=shard,
                 tell=tell,
             )
@@ -200,7 +139,7 @@ def campaign(
             check_meshes(asked.runs.values(), tell)
     listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, *(spec.engine for spec in asked.runs.values()))
-    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds, checked)
+    config = LocalJobConfig(count, listen=listening, seconds=seconds)
     config.check_engines(asked.runs.values())
     extent = begin_campaign(path, asked, job)
     folder = JobFolder(path)
@@ -221,7 +160,7 @@ def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None, 
     if shard is not None:
         raise InputError(f"{what} is a campaign's folder, whose share is decided; leave --shard out.")
     if out is not None:
-        raise InputError(f"{what} is a campaign's folder, and goes on where it is; leave --out out.")
+        raise InputError(f"{what} is a campaign's folder, and continues where it is; leave --out out.")
     return what
 
 

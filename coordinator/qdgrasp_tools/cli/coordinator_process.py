@@ -9,7 +9,6 @@ import typer
 
 from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
-from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import RunQueue, SingleRunQueue
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -48,8 +47,9 @@ def coordinator(
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
     job: Annotated[str | None, typer.Option(help="Name on the bus; default: the folder's or file's.")] = None,
-    batch_size: options.BatchSize = None,
-    checked: options.Checked = CHECKED_SHARE,
+    batch_size: Annotated[
+        int | None, typer.Option(min=1, max=4096, help="Rows in a batch; default: measured.")
+    ] = None,
     seconds: options.Seconds = None,
     wait: cli_support.WaitOption = 30.0,
     paused: Annotated[
@@ -61,12 +61,12 @@ def coordinator(
     a recorder keeps what is found.
 
     Exit codes: 0 done, cancelled, or --seconds are over; 2 bad input, or nothing to connect to; 3 another
-    coordinator goes on with the job; 143 SIGTERM. Start it again after any other one.
+    coordinator continues the job; 143 SIGTERM. Start it again after any other one.
 
     Example: qdgrasp-coordinator spec.toml --listen tcp/127.0.0.1:7447
     """  # noqa: D205  # typer joins the lines
     if connect and (listen or insecure):
-        raise InputError("--listen and --insecure are for a router of its own: leave them out, or --connect.")
+        raise InputError("--listen and --insecure are for an embedded router: leave them out, or --connect.")
     folder = JobFolder.open(what) if what.is_dir() else None
     programme = runs_of_job(what, folder)
     name = job or (folder.name if folder else job_name(what.stem))
@@ -91,7 +91,6 @@ def coordinator(
             make_sink=lambda run: RecorderClient(bus, name, run.shape),
             begin_epoch=RecorderClient(bus, name, RowShape(0, 0)).begin_epoch,
             batch_size=batch_size,
-            checked=checked,
             seconds=seconds,
             paused=paused,
         ).run()

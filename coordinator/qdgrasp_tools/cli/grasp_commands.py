@@ -1,12 +1,12 @@
 """`qdgrasp export`, `import` and `evaluate`: grasps in files of ours and of other tools."""
 
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from qdgrasp_tools.export.importer import ImportedPoses
 
 
+@options.spec_flags("approach_distance", "resting_pose", sets=())
 def export(
+    keys: dict[str, Any],
     directories: Annotated[
         list[Path], typer.Argument(metavar="DIRS...", help="Folders of runs and of campaigns.")
     ],
@@ -73,9 +75,14 @@ def export(
     max_motion: options.MaxMotion = None,
     min_margin: options.MinMargin = None,
     min_links: options.MinLinks = None,
-    holds_in: options.HoldsIn = None,
-    approach_distance: options.ApproachDistance = None,
-    resting_pose: options.RestingPoseOption = None,
+    holds_in: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENGINE",
+            help="Only grasps that hold in this engine too, by `verify --engine` (bullet, mujoco).",
+            rich_help_panel=options.CHOICE,
+        ),
+    ] = None,
     frame: Annotated[
         str, typer.Option(help="Where poses are told: the object's mesh file (mesh) or centre of mass (com).")
     ] = "mesh",
@@ -95,7 +102,7 @@ def export(
             metavar="SHARES", help="Of several runs: share objects out, as in 80,10,10 (train, ...)."
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
+    force: options.Force = False,
 ) -> None:
     """Write the grasps of a run to a file that other tools read,
     or those of several runs and campaigns to one data set.
@@ -113,8 +120,7 @@ def export(
     from qdgrasp_tools.export.grasp_reader import GraspChoice
 
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
-    pose = options.resting_pose(resting_pose)
-    choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in, approach_distance, pose)
+    choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in, **keys)
     folders = exporter.run_folders(directories)
     is_one = len(directories) == 1 and [folder.path for folder in folders] == directories
     if is_one and (meshes is not None or split is not None):
@@ -162,7 +168,6 @@ def import_(
             "--out", "-o", metavar="OUT", help="The poses: an npz file for `evaluate`; its folder is made."
         ),
     ],
-    scale: options.Scale = None,
     units: options.Units = None,
     frame: Annotated[
         str | None,
@@ -175,7 +180,7 @@ def import_(
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Take poses of a file that is of another hand or object.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace OUT if it is there.")] = False,
+    force: options.Force = False,
 ) -> None:
     """Turn a file of grasps, of ours or of others,
     into poses that `qdgrasp evaluate` scores again.
@@ -191,7 +196,7 @@ def import_(
 
     output = OutFile(out, force=force, inputs=(file, Path(gripper), Path(object_)))
     output.check()
-    metres = scale_of(units, scale)
+    metres = options.scale_of_units(units)
     told_in = None if frame is None else frame_of(frame)
     with progress_messages() as tell:
         tell(f"reading {file}")
@@ -200,49 +205,38 @@ def import_(
     if found.mismatches and not anyway:
         said = " ".join(found.mismatches)
         raise InputError(f"{said} Name the hand and object of '{file}', or add --anyway.")
-    flags = {"gripper": gripper, "object": object_, "scale": metres} | _conditions(found, object_)
-    flags |= {"poses": out, "out": out.with_name(f"{out.stem}-scores.npz")}
     found.write(output)
     for note in (*found.mismatches, *found.notes):
         echo(note, err=True)
-    words = [word for name, value in options.given(**flags).items() for word in (f"--{name}", str(value))]
+    words = ["--gripper", gripper, "--object", object_, *(("--units", units) if units else ())]
+    words += [*_conditions(found, object_), "--poses", str(out)]
     echo(f"{counted(len(found), 'pose')} written to {out}; this scores them:")
-    echo(f"  qdgrasp evaluate {shlex.join(words)}")
+    echo(f"  qdgrasp evaluate {shlex.join([*words, '--out', str(out.with_name(f'{out.stem}-scores.npz'))])}")
 
 
-def _conditions(found: "ImportedPoses", object_: str) -> dict[str, object]:
-    """Return the conditions under which the grasps were found, as flags."""
+def _conditions(found: "ImportedPoses", object_: str) -> Iterator[str]:
+    """Yield the conditions under which the grasps were found, as flags."""
     about = found.imported.metadata
     spec = about.runs[0].asked if about and about.runs else RunSpec(gripper="", object="")
     mass = about.object_mass if about else found.imported.mass or "KG"
-    return {
-        "mass": mass if Path(object_).suffix else spec.mass,
-        "friction": spec.friction if about else found.imported.friction,
-        "protocol": None if spec.protocol == "paper" else spec.protocol,
-        "base": None if spec.base == "paper" else spec.base,
-        "engine": spec.engine,
-    }
+    if Path(object_).suffix or spec.mass is not None:
+        yield from ("--mass", str(mass if Path(object_).suffix else spec.mass))
+    friction = spec.friction if about else found.imported.friction
+    asked = {"protocol": spec.protocol, "base": spec.base, "engine": spec.engine, "friction": friction}
+    for key, value in asked.items():
+        if value not in (None, "paper"):
+            yield from ("--set", f"{key}={value}")
 
 
+@options.spec_flags("gripper", "object", "mass", "units", "mesh", "protocol", "engine", "resting_pose")
 def evaluate(
-    gripper: options.Gripper = None,
-    object_: options.Object = None,
+    keys: dict[str, Any],
     poses: Annotated[Path | None, typer.Option(help="The poses: an npz file, see below.")] = None,
     out: Annotated[
         Path | None, typer.Option(help="Where the scores go: an npz file; its folder is made.")
     ] = None,
-    mass: options.Mass = None,
-    scale: options.Scale = None,
-    units: options.Units = None,
-    friction: options.Friction = None,
-    protocol: options.ProtocolOption = None,
-    base: options.BaseOption = None,
-    engine: options.EngineOption = None,
-    approach_distance: options.ApproachDistance = None,
-    resting_pose: options.RestingPoseOption = None,
     workers: options.OwnWorkers = None,
-    batch_size: options.BatchSize = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the scores if they are there.")] = False,
+    force: options.Force = False,
 ) -> None:
     """Score given hand poses, in the object's centre-of-mass frame.
 
@@ -253,28 +247,16 @@ def evaluate(
 
     Example: qdgrasp evaluate --gripper panda --object mug --poses poses.npz --out scores.npz
     """
-    values = options.given(
-        gripper=gripper,
-        object=object_,
-        mass=mass,
-        scale=scale_of(units, scale),
-        friction=friction,
-        protocol=protocol,
-        base=base,
-        engine=engine,
-        approach_distance=approach_distance,
-        resting_pose=options.resting_pose(resting_pose),
-    )
     if poses is None or out is None:
         missing = "--poses" if poses is None else "--out"
         raise InputError(f"{missing} is missing: name an npz file (`qdgrasp evaluate --help`).")
-    named = (Path(each) for each in (gripper, object_) if each)
+    named = (Path(keys[each]) for each in ("gripper", "object") if each in keys)
     output = OutFile(out, force=force, inputs=(poses, *named))
     output.check()
-    spec = run_spec(values, "evaluate")
+    spec = run_spec(keys, "evaluate")
     check_engines([spec])
     hand_poses = read_poses(poses)
-    config = LocalJobConfig(options.worker_count(workers, spec.engine), batch_size)
+    config = LocalJobConfig(options.worker_count(workers, spec.engine))
     with progress_display("evaluate", len(hand_poses)) as shown:
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
         prepared = prepare_scene(spec)

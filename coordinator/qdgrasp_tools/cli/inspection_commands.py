@@ -157,7 +157,6 @@ def verify(
         str | None, typer.Option(help="Compare verdicts on successes with this engine: bullet or mujoco.")
     ] = None,
     workers: options.OwnWorkers = None,
-    batch_size: options.BatchSize = None,
     as_json: options.Json = False,
 ) -> None:
     """Evaluate recorded rows again, and compare every result with the recorded one, bit for bit.
@@ -176,7 +175,7 @@ def verify(
         raise InputError("--all leaves nothing to --sample: give one of them.")
     folders = run_folders_at(directory)
     engines = [engine] if engine is not None else [folder.spec.engine for folder in folders]
-    config = LocalJobConfig(options.worker_count(workers, *engines), batch_size)
+    config = LocalJobConfig(options.worker_count(workers, *engines))
     most = None if every else sample or SAMPLE_ROWS
     if engine is not None:
         with progress_display("verify", most or 0) as shown, lifetime("qdgrasp verify") as stop:

@@ -12,9 +12,10 @@ from qdgrasp_assets.asset_paths import named_path, path_problem
 from qdgrasp_assets.asset_report import ObjectReport, inspect_object
 from qdgrasp_assets.catalog import object_names
 from qdgrasp_assets.geometry.collision_parts import TIME_LIMIT, ignore_progress
-from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, scale_of, to_bytes
+from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
 from qdgrasp_assets.object_model import ObjectDraft, object_of_mesh, read_draft
 from qdgrasp_coordinator.storage.outputs import OutFile, SharedFolder
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.spec import run_spec
@@ -23,7 +24,7 @@ from qdgrasp_tools.cli import asset_commands, options
 from qdgrasp_tools.local.progress import progress_messages
 
 object_app = typer.Typer(
-    name="object", no_args_is_help=True, help="Objects of one's own: check them, and repair their meshes."
+    name="object", no_args_is_help=True, help="Custom objects: check them, and repair their meshes."
 )
 
 
@@ -36,14 +37,10 @@ def _group() -> None:
 def check(
     file: Annotated[str, typer.Argument(metavar="FILE", help="A mesh: STL, OBJ, PLY, OFF or GLB.")],
     units: options.Units = None,
-    scale: options.Scale = None,
     mass: Annotated[
         float | None, typer.Option(metavar="KG", help="Mass of the object; runs need it.")
     ] = None,
-    simplify: options.Simplify = None,
-    remesh: options.Remesh = False,
-    hull: options.Hull = False,
-    glued: options.Glued = False,
+    mesh: options.Mesh = None,
     picture: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Draw it and its convex parts, or where it is open.")
     ] = None,
@@ -64,20 +61,21 @@ def check(
 ) -> None:
     """Say what an object of your own is, what was repaired, and what is wrong with it.
 
-    Seams, empty triangles and windings are put right, in every run as here. --simplify, --remesh and --hull
-    are ways out for meshes that cannot be used as they are, and flags of a run too. Holes are filled only
+    Seams, empty triangles and windings are repaired, in every run as here. --mesh changes meshes that cannot
+    be used as they are, and is a flag of a run too. Holes are filled only
     where asked for; the file that --repaired writes is then your object. Exit code 2: it cannot be used.
 
     Example: qdgrasp object check part.stl --units mm --mass 0.3 --picture pictures
     """
     if mass is not None:
         run_spec({"gripper": "", "object": "", "mass": mass}, "object check")
-    metres, path, writing = scale_of(units, scale), _found(file), None
+    metres, path, writing = options.scale_of_units(units), _found(file), None
     drawing = asset_commands.picture_folder(picture, "--picture", [path.name])
     if repaired is not None:
         writing = OutFile(repaired, "name another path with --repaired", WRITABLE_FORMATS, force=None)
         writing.check()
-    prepared = options.preparation(simplify, remesh, hull, glued)
+    prepared = options.preparation(mesh)
+    glued = prepared is not None and prepared.glued
     draft = read_draft(path, metres, prepared, fill_holes=fill_holes)
     with nullcontext(ignore_progress) if as_json else progress_messages() as tell:
         tell("looking at its surface")
@@ -95,20 +93,10 @@ def check(
     for line in _made(found, draft, path, drawing, writing):
         echo(line, err=as_json)
     asset_commands.refuse_faulty("object", found)
-    if repaired is None:
-        changes: dict[str, int | None] = {
-            "--simplify": simplify,
-            "--remesh": remesh,
-            "--hull": hull,
-            "--glued": glued,
-        }
-        used, used_scale = file, metres
-    else:
-        used, used_scale, changes = str(repaired), None, {"--glued": glued}
-    flags = "".join(
-        f" {flag}" if value is True else f" {flag} {value}" for flag, value in changes.items() if value
-    )
-    echo(f"next: {_next(used, used_scale, mass)}{flags}", err=as_json)
+    if repaired is not None:
+        file, metres, prepared = str(repaired), None, MeshPreparation(glued=glued)
+    changes = options.mesh_words(prepared)
+    echo(f"next: {_next(file, metres, mass)}{f' --mesh {changes}' if changes else ''}", err=as_json)
 
 
 def _found(file: str) -> Path:

@@ -1,256 +1,168 @@
-"""Options that several commands share."""
+"""Options that several commands share; those of a run's spec take type and text from `RunSpec`."""
 
+import functools
+import inspect
 import os
+import tomllib
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
 import typer
 
+from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import PROCESSES
 from qdgrasp_protocol.engines import DEVICE_ENGINE
-from qdgrasp_protocol.errors import ImpossibleValue, InputError
-from qdgrasp_protocol.spec import ANY_RESTING_POSE, MOST_RESTING_POSES
+from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
+from qdgrasp_protocol.spec import RunSpec, key_texts, run_spec
 
-MESH_FILE, SEARCH, EVALUATION = "Mesh file of an object", "Search", "Evaluation of a pose"
-END, CHOICE = "End, besides the budget", "Choice of grasps"
+SPEC, END, CHOICE = "Hand, object, search and evaluation", "End", "Choice of grasps"
 """Headings of options in the help of commands."""
+KEY_TEXTS = key_texts()
+KEY_TYPES = {field.name: msgspec.inspect.type_info(field.type) for field in msgspec.structs.fields(RunSpec)}
+FLAG_NAMES = {"scale": "units"}
+"""Flags that are not called as the keys of a spec that they give."""
+UNITS_HELP = "Unit of the mesh file: mm, cm, m or in, or how many metres it is; default m."
+MESH_HELP = (
+    "Changes of the mesh file: remesh (a new closed surface around it) or hull (its convex hull), glued (its "
+    "bodies are one rigid object), simplify=N (at most N triangles); several separated by commas."
+)
+Units = Annotated[str | None, typer.Option(metavar="UNIT", help=UNITS_HELP, rich_help_panel=SPEC)]
+Mesh = Annotated[str | None, typer.Option(metavar="CHANGES", help=MESH_HELP, rich_help_panel=SPEC)]
+FLAGS: dict[str, Any] = {"units": Units, "mesh": Mesh}
+"""Flags that are more than a value of their key."""
+Sets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Another key, of those listed below; repeatable.",
+        rich_help_panel=SPEC,
+    ),
+]
 
-Gripper = Annotated[str | None, typer.Option(help="Gripper: a built-in name or a TOML file.")]
-Object = Annotated[str | None, typer.Option("--object", help="Object: a built-in name or a mesh file.")]
-Mass = Annotated[
-    float | None,
-    typer.Option(help="Mass of the object [kg]; needed for a mesh file.", rich_help_panel=MESH_FILE),
-]
-Scale = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S", help="Metres to a unit of the mesh file; default 1.", rich_help_panel=MESH_FILE
-    ),
-]
-Units = Annotated[
-    str | None,
-    typer.Option(
-        metavar="mm|cm|m|in", help="The unit of the mesh file, for --scale.", rich_help_panel=MESH_FILE
-    ),
-]
-Friction = Annotated[
-    float | None, typer.Option(help="Lateral friction of the object; default 0.5.", rich_help_panel=MESH_FILE)
-]
-Simplify = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        min=20,
-        max=500_000,
-        help="Simplify the mesh to at most N triangles.",
-        rich_help_panel=MESH_FILE,
-    ),
-]
-Remesh = Annotated[
-    bool,
-    typer.Option(
-        "--remesh",
-        help="Make a new closed surface around what the mesh file holds.",
-        rich_help_panel=MESH_FILE,
-    ),
-]
-Hull = Annotated[
-    bool,
-    typer.Option("--hull", help="Take the convex hull of the mesh in its place.", rich_help_panel=MESH_FILE),
-]
-Glued = Annotated[
-    bool,
-    typer.Option(
-        "--glued", help="Bodies that are apart are meant to be one rigid object.", rich_help_panel=MESH_FILE
-    ),
-]
+
+def spec_flags(
+    *names: str, sets: Collection[str] = KEY_TEXTS
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command the flags of these keys of a spec, and --set for the others of `sets`.
+
+    The command takes those that were given as the argument `keys`, values by key (`spec_values`).
+    """
+    flags = {name: FLAGS.get(name) or _flag(name) for name in names} | ({"set": Sets} if sets else {})
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @functools.wraps(command)
+        def called(**values: Any) -> None:
+            command(keys=spec_values(given(**{name: values.pop(name) for name in flags}), sets), **values)
+
+        known = inspect.signature(command, eval_str=True).parameters.values()
+        added = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=flag)
+            for name, flag in flags.items()
+        ]
+        kept = [each.replace(kind=inspect.Parameter.KEYWORD_ONLY) for each in known if each.name != "keys"]
+        first = [each for each in kept if each.default is inspect.Parameter.empty or each.name == "spec"]
+        others = [each for each in kept if each not in first]
+        signature = inspect.Signature([*first, *added, *others])
+        called.__dict__["__signature__"] = signature
+        called.__annotations__ = {each.name: each.annotation for each in signature.parameters.values()}
+        others_set = [key for key in sets if FLAG_NAMES.get(key, key) not in signature.parameters]
+        called.__dict__["more_help"] = {"Keys for --set": [(key, KEY_TEXTS[key]) for key in others_set]}
+        return called
+
+    return decorate
+
+
+def _flag(key: str) -> Any:
+    info = KEY_TYPES[key]
+    kinds = info.types if isinstance(info, msgspec.inspect.UnionType) else (info,)
+    plain: Any = str
+    if not any(isinstance(each, msgspec.inspect.LiteralType) for each in kinds):
+        plain = int if any(isinstance(each, msgspec.inspect.IntType) for each in kinds) else plain
+        plain = float if any(isinstance(each, msgspec.inspect.FloatType) for each in kinds) else plain
+    flag = f"--{key.replace('_', '-')}"
+    return Annotated[plain | None, typer.Option(flag, help=KEY_TEXTS[key], rich_help_panel=SPEC)]
+
+
+def spec_values(flags: dict[str, Any], sets: Collection[str]) -> dict[str, Any]:
+    """Return the values by key of a spec that flags give; raises InputError for a key not of `sets`."""
+    values: dict[str, Any] = {}
+    for word in flags.pop("set", ()):
+        key, _, text = word.partition("=")
+        if key not in sets:
+            raise UnknownName("key", key, sets, "Write --set KEY=VALUE.")
+        values[key] = _parsed(text)
+    values |= flags
+    if units := values.pop("units", None):
+        values["scale"] = scale_of_units(units)
+    for key in ("mesh", "resting_pose"):
+        if isinstance(values.get(key), str):
+            values[key] = preparation(values[key]) if key == "mesh" else _parsed(values[key])
+    return values
+
+
+def _parsed(text: str) -> Any:
+    """Return a number or a truth value as TOML has it, and any other text as it is."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def scale_of_units(units: str | None) -> float | None:
+    """Return the metres to a unit, by name or as a number; errors as of `scale_of`."""
+    number = _parsed(units or "")
+    return scale_of(None, number) if isinstance(number, int | float) else scale_of(units, None)
+
+
+def preparation(text: str | None) -> MeshPreparation | None:
+    """Return the changes of a mesh that --mesh lists; raises InputError for others."""
+    if text is None:
+        return None
+    words = [word.strip().partition("=") for word in text.split(",")]
+    changes = {name: _parsed(value) if value else True for name, _, value in words}
+    return run_spec({"gripper": "", "object": "", "mesh": changes}, "--mesh").mesh
+
+
+def mesh_words(mesh: MeshPreparation | None) -> str:
+    """Return changes of a mesh as --mesh lists them, the inverse of `preparation`."""
+    said = msgspec.to_builtins(mesh) if mesh else {}
+    return ",".join(name if value is True else f"{name}={value}" for name, value in said.items())
+
+
 SkipUnusable = Annotated[
-    bool, typer.Option("--skip-unusable", help="Go on without objects that cannot be used, and report them.")
+    bool,
+    typer.Option("--skip-unusable", help="Continue without objects that cannot be used, and report them."),
 ]
-ProtocolOption = Annotated[
-    str | None,
-    typer.Option(
-        "--protocol",
-        help="Evaluation protocol: paper, physical, lift, released, robust; default physical of `run` and of "
-        "a campaign of meshes, else paper.",
-        rich_help_panel=EVALUATION,
-    ),
-]
-BaseOption = Annotated[
-    str | None,
-    typer.Option(
-        "--base",
-        help="Protocol of each trial of robust: paper or physical; default paper.",
-        rich_help_panel=EVALUATION,
-    ),
-]
-EngineOption = Annotated[
-    str | None,
-    typer.Option(
-        "--engine",
-        help="Physics engine: bullet, mujoco, or both: bullet,mujoco tries in mujoco what holds in bullet; "
-        "released has bullet alone, physical also mujoco-warp; default bullet.",
-        rich_help_panel=EVALUATION,
-    ),
-]
-ApproachDistance = Annotated[
-    float | None,
-    typer.Option(
-        "--approach-distance",
-        metavar="M",
-        min=0,
-        max=1,
-        help="Distance [m] from which the open hand comes along its approach axis, touching nothing; default "
-        "0, with --resting-pose 0.1.",
-        rich_help_panel=EVALUATION,
-    ),
-]
-RestingPoseOption = Annotated[
-    str | None,
-    typer.Option(
-        "--resting-pose",
-        metavar="N|any",
-        help="The object rests on a table, in pose N of `qdgrasp asset resting-poses`, and the hand comes "
-        "above it; any: in one of its poses at least.",
-        rich_help_panel=EVALUATION,
-    ),
-]
-Trials = Annotated[
-    str | None,
-    typer.Option(
-        help="Trials of a success under robust: all (100), or sequential: 10, and more where it competes for "
-        "its cell; default all, sequential with --aim-for eta --protocol robust and no SPEC.",
-        rich_help_panel=EVALUATION,
-    ),
-]
-Finalists = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        help="With sequential trials: the N best of all instead of those of cells.",
-        rich_help_panel=EVALUATION,
-    ),
-]
-AimFor = Annotated[
-    str | None,
-    typer.Option(
-        help="Aim of the search aimed: hold, touch, eta (needs --protocol robust), margin; default hold.",
-        rich_help_panel=SEARCH,
-    ),
-]
-Diversity = Annotated[
-    str | None,
-    typer.Option(
-        help="Values that tell grasps apart: position, orientation, posture; default position.",
-        rich_help_panel=SEARCH,
-    ),
-]
-GraspsPerCell = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N", min=1, max=60, help="Different grasps that fill a cell of 1 cm.", rich_help_panel=SEARCH
-    ),
-]
-Seed = Annotated[int | None, typer.Option(help="Seed of the search; default 0.", rich_help_panel=SEARCH)]
 WarmStarts = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="RUN",
         help="Begin with what this run of the same hand learned; repeatable.",
-        rich_help_panel=SEARCH,
+        rich_help_panel=SPEC,
     ),
 ]
-OverlapsMode = Annotated[
-    str | None,
-    typer.Option(
-        help="count: every pose is an evaluation; redraw: simulated ones are; default: the method's.",
-        rich_help_panel=SEARCH,
-    ),
-]
-Population = Annotated[
+Workers = Annotated[
     int | None,
     typer.Option(
-        help="Genomes in a generation; default: the method's, see `qdgrasp methods`.", rich_help_panel=SEARCH
+        "--workers", min=0, help="Worker processes; default: one per core.", rich_help_panel=PROCESSES
     ),
 ]
-MutationSigma = Annotated[
-    float | None,
-    typer.Option(help="Standard deviation of the Gaussian mutation; default 0.1.", rich_help_panel=SEARCH),
-]
-MutationProbability = Annotated[
-    float | None,
-    typer.Option(help="Probability that a gene is mutated; default 0.3.", rich_help_panel=SEARCH),
-]
-GenerationsInFlight = Annotated[
-    int | None,
-    typer.Option(
-        help="Generations asked before the first is told; default: the method's.", rich_help_panel=SEARCH
-    ),
-]
-InFlight = Annotated[
-    int | None,
-    typer.Option(
-        help="Most genomes in flight, which become more as the run goes on; default: the method's.",
-        rich_help_panel=SEARCH,
-    ),
-]
-SurfaceSeed = Annotated[
-    int | None, typer.Option(help="Seed of the surface points; default 0.", rich_help_panel=MESH_FILE)
-]
-Workers = Annotated[int | None, typer.Option(min=0, help="Worker processes; default: one per core.")]
 OwnWorkers = Annotated[
-    int | None, typer.Option("--workers", min=1, help="Worker processes; default: one per core.")
-]
-Successes = Annotated[
-    int | None,
-    typer.Option(min=1, help="End with so many successes; default: with the budget.", rich_help_panel=END),
-]
-Grasps = Annotated[
     int | None,
     typer.Option(
-        metavar="N", min=1, help="End with so many grasps; default: with the budget.", rich_help_panel=END
-    ),
-]
-Saturation = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SHARE",
-        min=0,
-        help="End when 1000 simulated evaluations found new niches with a grasp at this share of the mean "
-        "rate, below 1; 0: never.",
-        rich_help_panel=END,
-    ),
-]
-NoNewCell = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N", min=1, help="End when N evaluations in a row found no new cell.", rich_help_panel=END
+        "--workers", min=1, help="Worker processes; default: one per core.", rich_help_panel=PROCESSES
     ),
 ]
 Seconds = Annotated[
     float | None,
     typer.Option(
         min=0,
-        help="Stop after so many seconds; what is recorded stays, and can be gone on with.",
+        help="Stop after so many seconds; what is recorded stays, and can be continued.",
         rich_help_panel=END,
-    ),
-]
-BatchSize = Annotated[
-    int | None,
-    typer.Option(
-        "--batch-size", min=1, max=4096, help="Rows in a batch; default: measured.", rich_help_panel=PROCESSES
-    ),
-]
-Checked = Annotated[
-    float,
-    typer.Option(
-        "--checked",
-        metavar="SHARE",
-        min=0,
-        max=1,
-        help="Share of the rows that a second worker evaluates too.",
-        rich_help_panel=PROCESSES,
     ),
 ]
 Listen = Annotated[
@@ -259,9 +171,6 @@ Listen = Annotated[
         help="Endpoint of the embedded router; default: port 7447 on loopback, or a free one.",
         rich_help_panel=PROCESSES,
     ),
-]
-DiskWait = Annotated[
-    float, typer.Option(min=0, help="Seconds to wait for room on a full disk.", rich_help_panel=PROCESSES)
 ]
 Job = Annotated[
     str | None, typer.Option(help="Name on the bus; default: the folder's name.", rich_help_panel=PROCESSES)
@@ -277,7 +186,7 @@ MaxMotion = Annotated[
     typer.Option(
         min=0,
         metavar="MM",
-        help="Way of the object in the hand while it closed [mm], at most.",
+        help="Motion of the object in the hand while it closed [mm], at most.",
         rich_help_panel=CHOICE,
     ),
 ]
@@ -293,16 +202,9 @@ MinLinks = Annotated[
         min=0, metavar="N", help="Finger links that touch after closing, at least.", rich_help_panel=CHOICE
     ),
 ]
-HoldsIn = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ENGINE",
-        help="Only grasps that hold in this engine too, by `verify --engine` (bullet, mujoco).",
-        rich_help_panel=CHOICE,
-    ),
-]
 RunDir = Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace the output if it is there.")]
 
 
 def cores() -> int:
@@ -318,26 +220,6 @@ def worker_count(workers: int | None, *engines: str | None) -> int:
 def given(**values: Any) -> dict[str, Any]:
     """Return the values that are not None."""
     return {name: value for name, value in values.items() if value is not None}
-
-
-def resting_pose(text: str | None) -> int | str | None:
-    """Parse the number of a resting pose, or `any`; raises ImpossibleValue for other text."""
-    if text is None or text == ANY_RESTING_POSE:
-        return text
-    if text.isascii() and text.isdecimal() and int(text) < MOST_RESTING_POSES:
-        return int(text)
-    raise ImpossibleValue("--resting-pose", text, f"the number of a resting pose, or '{ANY_RESTING_POSE}'")
-
-
-def preparation(simplify: int | None, remesh: bool, hull: bool, glued: bool) -> MeshPreparation | None:
-    """Return the changes of a mesh that flags ask for; None without such a flag.
-
-    Raises InputError for flags that exclude each other.
-    """
-    asked = MeshPreparation(simplify=simplify, remesh=remesh, hull=hull, glued=glued)
-    if remesh and hull:
-        raise InputError("--remesh and --hull each replace the mesh by another one: give one of them.")
-    return None if asked == MeshPreparation() else asked
 
 
 def host_and_port(text: str) -> tuple[str, int]:

@@ -12,7 +12,6 @@ from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.process import configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.cli import options
 from qdgrasp_tools.monitor.queries import QueryServer
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -26,11 +25,11 @@ def recorder(
     ],
     connect: cli_support.ConnectOption = None,
     security: cli_support.SecurityOption = None,
-    disk_wait: options.DiskWait = 60.0,
+    disk_wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for room on a full disk.")] = 60.0,
     wait: cli_support.WaitOption = 30.0,
     version: cli_support.VersionOption = False,
 ) -> None:
-    """Write what a job finds to its folder, and tell its coordinator what is safe on the disk.
+    """Write what a job finds to its folder, and report to its coordinator what is safe on the disk.
 
     A single run's records lie in the folder itself, those of a campaign's runs in DIR/runs/RUN. The folder
     must not be on a network file system. One recorder at a time writes in it.

@@ -7,12 +7,10 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 from qdgrasp_coordinator.metrics.reference_coverage import object_identity
 from qdgrasp_coordinator.scheduler import run_plan
-from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -24,10 +22,10 @@ from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, In
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.rows import GIVEN, LIFT, TRIAL_COUNTS, Rows
 from qdgrasp_protocol.spec import (
-    DEFAULT_METHOD,
     GOAL_KEYS,
     MAX_POPULATION,
     OBJECTIVE_KEYS,
+    STOP_KEYS,
     RunSpec,
     read_run_spec,
     run_spec,
@@ -63,58 +61,23 @@ def check_not_stopped(job: JobFolder, stop: Stop) -> None:
 
 def resume_hint(job: JobFolder) -> str:
     """Name the command that continues a job."""
-    return f"`{job.resume_command}` goes on where it stopped."
+    return f"`{job.resume_command}` continues where it stopped."
 
 
+@options.spec_flags(
+    "gripper", "object", "mass", "units", "mesh", "method", "aim_for", "seed", "protocol", "engine",
+    "resting_pose", "evaluations", "grasps",
+)  # fmt: skip
 def run(
+    keys: dict[str, Any],
     spec: Annotated[
         Path | None, typer.Argument(metavar="SPEC.toml", help="A spec; flags replace what it says.")
     ] = None,
-    gripper: options.Gripper = None,
-    object_: options.Object = None,
-    evaluations: Annotated[int | None, typer.Option(help="Counted evaluations; default 10000.")] = None,
-    workers: options.Workers = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder; default runs/<what it is>.")] = None,
-    mass: options.Mass = None,
-    scale: options.Scale = None,
-    units: options.Units = None,
-    friction: options.Friction = None,
-    simplify: options.Simplify = None,
-    remesh: options.Remesh = False,
-    hull: options.Hull = False,
-    glued: options.Glued = False,
-    surface_seed: options.SurfaceSeed = None,
-    method: Annotated[
-        str | None,
-        typer.Option(help=f"Search method; default {DEFAULT_METHOD}.", rich_help_panel=options.SEARCH),
-    ] = None,
-    seed: options.Seed = None,
-    aim_for: options.AimFor = None,
-    diversity: options.Diversity = None,
-    grasps_per_cell: options.GraspsPerCell = None,
     warm_start: options.WarmStarts = None,
-    overlaps: options.OverlapsMode = None,
-    population: options.Population = None,
-    mutation_sigma: options.MutationSigma = None,
-    mutation_probability: options.MutationProbability = None,
-    generations_in_flight: options.GenerationsInFlight = None,
-    in_flight: options.InFlight = None,
-    protocol: options.ProtocolOption = None,
-    base: options.BaseOption = None,
-    engine: options.EngineOption = None,
-    approach_distance: options.ApproachDistance = None,
-    resting_pose: options.RestingPoseOption = None,
-    trials: options.Trials = None,
-    finalists: options.Finalists = None,
-    successes: options.Successes = None,
-    grasps: options.Grasps = None,
-    no_new_cell: options.NoNewCell = None,
-    saturation: options.Saturation = None,
     seconds: options.Seconds = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; default runs/<what it is>.")] = None,
+    workers: options.Workers = None,
     job: options.Job = None,
-    batch_size: options.BatchSize = None,
-    checked: options.Checked = CHECKED_SHARE,
-    disk_wait: options.DiskWait = 60.0,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
@@ -123,49 +86,16 @@ def run(
 
     Example: qdgrasp run --gripper panda --object mug --evaluations 3000
 
-    Example: qdgrasp run --gripper panda --object bowl --warm-start runs/mug
+    Example: qdgrasp run --gripper panda --object part.stl --units mm --mass 0.3 --set population=200
     """
-    flags = options.given(
-        gripper=gripper,
-        object=object_,
-        mass=mass,
-        scale=scale_of(units, scale),
-        friction=friction,
-        mesh=options.preparation(simplify, remesh, hull, glued),
-        method=method,
-        protocol=protocol,
-        base=base,
-        engine=engine,
-        approach_distance=approach_distance,
-        resting_pose=options.resting_pose(resting_pose),
-        trials=trials,
-        finalists=finalists,
-        aim_for=aim_for,
-        diversity=diversity,
-        grasps_per_cell=grasps_per_cell,
-        evaluations=evaluations,
-        successes=successes,
-        grasps=grasps,
-        no_new_cell=no_new_cell,
-        saturation=saturation,
-        seed=seed,
-        overlaps=overlaps,
-        population=population,
-        mutation_sigma=mutation_sigma,
-        mutation_probability=mutation_probability,
-        generations_in_flight=generations_in_flight,
-        in_flight=in_flight,
-        surface_seed=surface_seed,
-    )
     values = read_run_spec(spec) if spec else {}
     if "cross" in values:
         raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
-    usual = {"trials": "sequential"} if not spec and aim_for == "eta" and protocol == "robust" else {}
-    asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | usual | values | flags, str(spec) if spec else "run")
+    eta = not spec and keys.get("aim_for") == "eta" and keys.get("protocol") == "robust"
+    usual = run_plan.RUN_DEFAULTS | ({"trials": "sequential"} if eta else {})
+    asked = run_plan.full_spec(usual | values | keys, str(spec) if spec else "run")
     listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(
-        options.worker_count(workers, asked.engine), batch_size, listening, disk_wait, seconds, checked
-    )
+    config = LocalJobConfig(options.worker_count(workers, asked.engine), listen=listening, seconds=seconds)
     place = out or Path("runs") / run_plan.default_run_name(asked)
     if not warm_start:
         start_run(asked, place, config, job)
@@ -230,46 +160,32 @@ def write_ranking_of(folder: RunFolder) -> None:
         echo(ranking.write_ranking(folder))
 
 
+@options.spec_flags("evaluations", "grasps", sets=STOP_KEYS)
 def resume(
     directory: options.RunDir,
-    evaluations: Annotated[
-        int | None, typer.Option(help="The new total of counted evaluations; default: the spec's.")
-    ] = None,
-    successes: options.Successes = None,
-    grasps: options.Grasps = None,
-    no_new_cell: options.NoNewCell = None,
-    saturation: options.Saturation = None,
+    keys: dict[str, Any],
     seconds: options.Seconds = None,
     workers: options.Workers = None,
-    batch_size: options.BatchSize = None,
-    checked: options.Checked = CHECKED_SHARE,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
-    disk_wait: options.DiskWait = 60.0,
 ) -> None:
-    """Go on with a run where its journal ends; --evaluations extends a finished one.
+    """Continue a run where its journal ends; --evaluations extends a finished one.
 
-    So do --successes, --grasps, --no-new-cell and --saturation where a run ended with these.
+    So do --grasps, and other keys that end a run by --set, where it ended with these.
 
     Example: qdgrasp resume runs/panda-mug-aimed-s0 --evaluations 20000
     """
     folder = RunFolder.open(directory)
     if folder.job.is_campaign:
         raise FolderError(
-            f"{folder.path} is a run of a campaign: `qdgrasp campaign {folder.job.path}` goes on with it."
+            f"{folder.path} is a run of a campaign: `qdgrasp campaign {folder.job.path}` continues it."
         )
     folder.job.check_not_in_use()
     with folder.journal():
         pass  # it is readable, and of this spec and scene
-    if goals := options.given(
-        evaluations=evaluations,
-        successes=successes,
-        grasps=grasps,
-        no_new_cell=no_new_cell,
-        saturation=saturation,
-    ):
-        extend_run(folder, **goals)
+    if keys:
+        extend_run(folder, **keys)
     found = run_summary(folder)
     if found.complete:
         echo(f"{directory} is finished: {found.words}")
@@ -277,33 +193,22 @@ def resume(
         return
     listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, folder.spec.engine)
-    config = LocalJobConfig(count, batch_size, listening, disk_wait, seconds, checked)
+    config = LocalJobConfig(count, listen=listening, seconds=seconds)
     config.check_engines([folder.spec])
     with (
         lifetime("qdgrasp resume") as stop,
         progress_display(directory.name, folder.spec.evaluations) as shown,
     ):
-        shown.say(f"going on after {counted(found.evaluations, 'evaluation')}")
+        shown.say(f"continuing after {counted(found.evaluations, 'evaluation')}")
         run_job(folder.job, config, shown, stop)
     print_result(folder, stop, is_timed=seconds is not None)
 
 
+@options.spec_flags("base", "engine", "approach_distance", "resting_pose", sets=())
 def rerank(
     directory: options.RunDir,
+    keys: dict[str, Any],
     protocol: Annotated[str, typer.Option(help="Evaluation protocol with trials.")] = "robust",
-    base: Annotated[
-        str | None,
-        typer.Option(help="Protocol of each trial: paper or physical; default: as in the run."),
-    ] = None,
-    engine: Annotated[
-        str | None,
-        typer.Option(
-            "--engine",
-            "--engines",
-            help="Physics engine: bullet, mujoco, mujoco-warp, or two, as in bullet,mujoco; default: as in "
-            "the run.",
-        ),
-    ] = None,
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
     ] = 100,
@@ -343,10 +248,7 @@ def rerank(
             help="How the object stands on it: quaternion x,y,z,w or angles x,y,z [deg]; default: z up."
         ),
     ] = None,
-    approach_distance: options.ApproachDistance = None,
-    resting_pose: options.RestingPoseOption = None,
     workers: options.Workers = None,
-    batch_size: options.BatchSize = None,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
@@ -354,13 +256,12 @@ def rerank(
     out: Annotated[
         Path | None, typer.Option(help="Folder; default runs/<name of the run>-<protocol>.")
     ] = None,
-    disk_wait: options.DiskWait = 60.0,
 ) -> None:
     """Score the best grasps of a run again, in many disturbed trials each, and rank them by eta.
 
     Taken is the best grasp of each cell or niche, and of these the best ones as candidates; those that may be
     among the --top best have a hundred trials. The folder is that of a run:
-    `qdgrasp resume` goes on with it, and workers may join. ranking.csv in it holds every grasp by eta.
+    `qdgrasp resume` continues it, and workers may join. ranking.csv in it holds every grasp by eta.
 
     With two engines a trial is passed that holds in both.
 
@@ -378,7 +279,7 @@ def rerank(
     RunFolder.check_free(folder)
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
     found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
-    ways = options.given(approach_distance=approach_distance, resting_pose=options.resting_pose(resting_pose))
+    base, engine, ways = keys.pop("base", None), keys.pop("engine", None), keys
     if ways:
         found = ranking.reachable_grasps(source, found, **ways)
     kinds = ranking.kinds_of_run(source.spec, found, synergy_reader(source), by_niche)
@@ -387,7 +288,7 @@ def rerank(
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race, **ways)
     listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, spec.engine)
-    config = LocalJobConfig(count, batch_size, listening, disk_wait)
+    config = LocalJobConfig(count, listen=listening)
     config.check_engines([spec])
     with progress_display(folder.name, spec.evaluations) as shown:
         shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")

@@ -244,7 +244,7 @@ def _notes(imported: GraspTable, hand: SceneGripper, body: ObjectFrame) -> Itera
     if scale is not None and abs(scale / body.scale - 1) > VALUE_TOLERANCE and not is_built_in:
         yield (
             f"The file scales its mesh by {scale:.16g}, and here it is scaled by {body.scale:.16g}: if "
-            f"it is the same mesh, add --scale {scale:.16g}."
+            f"it is the same mesh, add --units {scale:.16g}."
         )
     known = {joint.name for joint in hand.joints}
     if unknown := [name for name in imported.joint_names if name not in known]:

@@ -15,7 +15,6 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
-from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE, check_engine
@@ -65,12 +64,8 @@ class LocalJobConfig:
     batch_size: int | None = None
     """Rows in a batch; None: measured."""
     listen: ListenConfig = ListenConfig()
-    disk_wait: float = 60.0
-    """Seconds that a full disk is waited for."""
     seconds: float | None = None
     """After so long the job ends, done or not; None: when it is done."""
-    checked: float = CHECKED_SHARE
-    """Share of the rows that a second worker evaluates too."""
 
     def check_engines(self, specs: Iterable[RunSpec]) -> None:
         """Raise an InputError if workers start here and lack the engine or the device of a run."""
@@ -183,8 +178,6 @@ class Supervisor:
         arguments = [str(self._folder.path), *self._listen.flags, *self._listen.security_flags]
         if self._config.batch_size:
             arguments += ["--batch-size", str(self._config.batch_size)]
-        if self._config.checked != CHECKED_SHARE:
-            arguments += ["--checked", str(self._config.checked)]
         if self._config.seconds is not None:
             left = self._config.seconds - (time.monotonic() - self._began)
             arguments += ["--seconds", str(max(0.0, left))]
@@ -234,7 +227,7 @@ class Supervisor:
 
     def _start_members(self, processes: ProcessSupervisor) -> None:
         """Start the recorder and the workers, which connect to the endpoint of that time."""
-        recorder = ["--out", str(self._folder.path), "--disk-wait", str(self._config.disk_wait)]
+        recorder = ["--out", str(self._folder.path)]
         module = "qdgrasp_tools.cli.recorder_process"
         processes.start("recorder", module, lambda: [*self._connection_flags, *recorder])
         for number in range(self._config.workers):

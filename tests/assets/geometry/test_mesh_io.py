@@ -66,7 +66,7 @@ def test_a_folder_is_told_from_a_file(tmp_path):
         read_mesh_file(tmp_path)
 
 
-@pytest.mark.parametrize(("unit", "flag"), [("millimeter", "--units mm"), ("0.1 * meters", "--scale 0.1")])
+@pytest.mark.parametrize(("unit", "flag"), [("millimeter", "--units mm"), ("0.1 * meters", "--units 0.1")])
 def test_a_unit_that_the_file_states_is_to_be_said(tmp_path, monkeypatch, unit, flag):
     """As 3MF and Collada do, which need packages of their own."""
     path = tmp_path / "part.ply"
@@ -94,13 +94,13 @@ def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -
         read_mesh_file(part)
 
 
-IMPOSSIBLE = r"--scale must be a number greater than 0 and at most 1000000 .*got"
+IMPOSSIBLE = r"--units must be a number greater than 0 and at most 1000000 .*got"
 
 
 @pytest.mark.parametrize(
     ("units", "scale", "error", "sentence"),
     [
-        ("mm", 2.0, InputError, r"--units mm means --scale 0\.001: give only one"),
+        ("mm", 2.0, InputError, r"unit mm means a scale of 0\.001 m: give only one"),
         ("furlong", None, UnknownName, r"Unknown unit 'furlong'\. Known: cm, in, m, mm\."),
         *((None, scale, ImpossibleValue, IMPOSSIBLE) for scale in (0.0, -1.0, float("nan"), 1e7)),
     ],

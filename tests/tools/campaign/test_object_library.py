@@ -190,7 +190,7 @@ def test_what_is_left_out_is_reported_in_the_folder_and_counted(library, tmp_pat
         broken, lost = csv.DictReader(file)
     assert (broken["object"], broken["file"]) == ("b/broken", str(library / "b" / "broken.stl"))
     assert broken["reason"].startswith("it is not closed")
-    assert "--remesh or --hull" in broken["mend"]
+    assert "--mesh remesh or hull" in broken["mend"]
     assert lost["object"] == "lost"
     assert lost["reason"].endswith("lost.stl': it does not exist")
     found = campaign_summary(JobFolder(folder))

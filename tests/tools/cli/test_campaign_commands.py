@@ -50,10 +50,10 @@ MESHES = "--objects parts --gripper panda --mass 0.1"
     ("flags", "ends"),
     [
         ("", (10_000, None, None)),
-        ("--grasps-per-object 2000", (20_000, 2000, SATURATION)),
-        ("--grasps-per-object 2000 --max-evaluations 9000 --saturation 0.3", (9000, 2000, 0.3)),
-        ("--max-evaluations 9000", (9000, None, None)),
-        ("--saturation 0", (10_000, None, 0)),
+        ("--grasps 2000", (20_000, 2000, SATURATION)),
+        ("--grasps 2000 --evaluations 9000 --set saturation=0.3", (9000, 2000, 0.3)),
+        ("--evaluations 9000", (9000, None, None)),
+        ("--set saturation=0", (10_000, None, 0)),
     ],
 )
 @pytest.mark.parametrize("what", ["c.toml", MESHES])
@@ -62,32 +62,25 @@ def test_a_target_of_grasps_and_a_cap_are_those_of_every_run(asked: Asked, what:
     assert (spec.evaluations, spec.grasps, spec.saturation) == ends
 
 
-def test_the_budget_of_meshes_is_their_cap(asked: Asked) -> None:
-    (spec,) = asked(f"{MESHES} --grasps-per-object 300 --evaluations 4000").runs.values()
-    assert (spec.evaluations, spec.grasps) == (4000, 300)
-
-
 def test_meshes_are_grasped_under_the_protocol_and_in_the_engine_that_are_said(asked: Asked) -> None:
     (spec,) = asked(f"{MESHES} --protocol physical --engine mujoco").runs.values()
     assert (spec.protocol, spec.engine) == ("physical", "mujoco")
 
 
 def test_a_campaign_of_meshes_goes_on_from_its_folder_with_a_larger_target(asked, tmp_path) -> None:
-    begun = asked(f"{MESHES} --grasps-per-object 300 --max-evaluations 4000")
+    begun = asked(f"{MESHES} --grasps 300 --evaluations 4000")
     (tmp_path / "again.toml").write_text(begun.toml)
-    (spec,) = asked("again.toml --grasps-per-object 500").runs.values()
+    (spec,) = asked("again.toml --grasps 500").runs.values()
     assert (spec.evaluations, spec.grasps, spec.saturation) == (4000, 500, SATURATION)
 
 
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        (f"{MESHES} --evaluations 9 --max-evaluations 9", "--evaluations and --max-evaluations both say"),
-        ("c.toml --grasps-per-object 9 --max-evaluations 8", "--max-evaluations must be at least 9, as"),
-        ("c.toml --grasps-per-cell 3", "--grasps-per-cell goes with --objects DIR"),
-        ("c.toml --units mm", "--units goes with --objects DIR"),
-        ("c.toml --remesh", "--remesh goes with --objects DIR"),
-        ("c.toml --saturation 1.5", "saturation must be a number at least 0 and less than 1, got 1.5"),
+        ("c.toml --set grasps_per_cell=3", "grasps_per_cell goes with --objects DIR"),
+        ("c.toml --units mm", "scale goes with --objects DIR"),
+        ("c.toml --mesh remesh", "mesh goes with --objects DIR"),
+        ("c.toml --set saturation=1.5", "saturation must be a number at least 0 and less than 1, got 1.5"),
     ],
 )
 def test_what_does_not_go_together_is_refused_in_a_sentence(asked: Asked, line: str, words: str) -> None:

@@ -66,7 +66,7 @@ def test_what_a_file_says_of_a_mesh_is_in_the_command_that_scores_it(tmp_path: P
     trimesh.creation.box((0.04, 0.05, 0.06)).export(tmp_path / "box.stl")
     acronym(tmp_path / "f.h5", [matrix()], object__mass=0.25, object__friction=1.0)
     asked = ("--gripper", "panda", "--object", tmp_path / "box.stl", "-o", tmp_path / "p.npz")
-    assert "--mass 0.25 --friction 1.0 --poses" in command(tmp_path / "f.h5", *asked).stdout
+    assert "--mass 0.25 --set friction=1.0 --poses" in command(tmp_path / "f.h5", *asked).stdout
     (tmp_path / "f.yaml").write_text(ISAAC)
     assert "box.stl --mass KG --poses" in command(tmp_path / "f.yaml", *asked, "--force").stdout
 

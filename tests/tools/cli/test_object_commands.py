@@ -13,7 +13,7 @@ from qdgrasp_assets.asset_report import ObjectReport
 from qdgrasp_assets.geometry.collision_parts import DecompositionTimeout
 from qdgrasp_assets.object_model import read_draft
 from qdgrasp_coordinator.storage.outputs import is_drawn_here
-from qdgrasp_protocol.errors import AssetError, FolderError, ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.errors import AssetError, FolderError, ImpossibleValue, UnknownName
 from qdgrasp_tools.cli.object_commands import object_app
 
 BLOCK = (0.02, 0.03, 0.05)
@@ -61,7 +61,7 @@ def test_a_good_object_is_described_and_the_next_command_is_named(check):
 
 def test_the_same_is_said_to_machines(check):
     block().export("part.stl")
-    one = found(check("part.stl", "--scale", 2, "--mass", 0.8, "--json"))
+    one = found(check("part.stl", "--units", 2, "--mass", 0.8, "--json"))
     assert one.extents == pytest.approx(np.multiply(BLOCK, 2))
     assert (one.scale, one.mass, one.density) == (2, 0.8, pytest.approx(0.8 / 2.4e-4))
     x, y, z = np.square(one.extents)
@@ -96,8 +96,8 @@ def test_two_bodies_that_are_apart_are_one_object_only_if_that_is_said(check):
     done = check("two.stl", "--mass", 0.1, "--no-parts")
     assert isinstance(done.exception, AssetError)
     assert "WRONG            it is of bodies with about 0.03 m of air between them" in done.stdout
-    assert "or say with --glued that they are moved as one" in done.stdout
-    done = check("two.stl", "--mass", 0.1, "--no-parts", "--glued")
+    assert "or say with --mesh glued that they are moved as one" in done.stdout
+    done = check("two.stl", "--mass", 0.1, "--no-parts", "--mesh", "glued")
     assert done.exit_code == 0
     assert "bodies           2" in done.stdout
     assert "its 2 bodies are moved as one rigid object, as if they were glued" in done.stdout
@@ -108,7 +108,7 @@ def test_a_rod_that_floats_in_a_ring_is_an_object_of_its_own(check):
     trimesh.util.concatenate([rod, ring]).export("bearing.stl")
     done = check("bearing.stl", "--mass", 0.1, "--no-parts")
     assert "it is of bodies with about 0.005 m of air between them" in done.stdout
-    assert check("bearing.stl", "--mass", 0.1, "--no-parts", "--glued").exit_code == 0
+    assert check("bearing.stl", "--mass", 0.1, "--no-parts", "--mesh", "glued").exit_code == 0
 
 
 @pytest.mark.parametrize("shift", [0.02, 0.0205])
@@ -191,13 +191,11 @@ def test_an_object_is_drawn_also_where_it_is_open(check, good):
 @pytest.mark.parametrize(
     ("flags", "error", "words"),
     [
-        (("--mass", 0), ImpossibleValue, r"mass must be a number greater than 0 .* \(kg\), got 0\.0"),
+        (("--mass", 0), ImpossibleValue, r"mass must be a number greater than 0 .*, got 0\.0"),
         (("--mass", -1), ImpossibleValue, r"mass must be"),
-        (("--scale", -1), ImpossibleValue, r"scale must be .*0\.001 for mm\), got -1\.0"),
-        (("--scale", 0), ImpossibleValue, r"scale must be"),
-        (("--scale", "nan"), ImpossibleValue, r"scale must be"),
+        (("--units", -1), ImpossibleValue, r"units must be .*0\.001 for mm\), got -1"),
+        (("--units", "nan"), ImpossibleValue, r"units must be"),
         (("--units", "ft"), UnknownName, r"Unknown unit 'ft'\. Known: cm, in, m, mm"),
-        (("--units", "mm", "--scale", 2), InputError, r"give only one"),
         (("--units", "mm"), AssetError, r"correct the 2 faults that are listed"),
     ],
 )
@@ -217,18 +215,18 @@ def test_a_name_of_the_catalog_is_no_file(check):
     )
 
 
-@pytest.mark.parametrize("way", ["--remesh", "--hull"])
+@pytest.mark.parametrize("way", ["remesh", "hull"])
 def test_a_mesh_that_cannot_be_used_has_a_way_out(check, tmp_path, way):
     trimesh.Trimesh(block().vertices, block().faces[2:], process=False).export(tmp_path / "part.ply")
     assert isinstance(check("part.ply", "--no-parts").exception, AssetError)
-    done = check("part.ply", "--mass", 0.1, "--no-parts", way, "--simplify", 500)
+    done = check("part.ply", "--mass", 0.1, "--no-parts", "--mesh", f"simplify=500,{way}")
     assert done.exit_code == 0
-    assert f"--object part.ply --mass 0.1 --simplify 500 {way}" in done.stdout
+    assert f"--object part.ply --mass 0.1 --mesh simplify=500,{way}" in done.stdout
     assert "repaired" in done.stdout
 
 
 def test_a_mesh_that_is_written_needs_no_way_out_again(check, tmp_path):
     trimesh.Trimesh(block().vertices, block().faces[2:], process=False).export(tmp_path / "part.ply")
-    done = check("part.ply", "--mass", 0.1, "--no-parts", "--hull", "--repaired", "hull.stl")
+    done = check("part.ply", "--mass", 0.1, "--no-parts", "--mesh", "hull", "--repaired", "hull.stl")
     assert "next: qdgrasp run --gripper panda --object hull.stl --mass 0.1\n" in done.stdout
     assert check("hull.stl", "--no-parts").exit_code == 0

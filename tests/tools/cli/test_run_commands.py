@@ -1,5 +1,6 @@
 """`qdgrasp rerank`, `prune`, `jobs` and orders to a job: their output and refusals."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,7 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import FolderError, InputError, NoReply
 from qdgrasp_protocol.messages import Order, OrderReply
 from qdgrasp_protocol.process import Stop
@@ -81,44 +83,6 @@ def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) ->
     assert spec.poses == ((0, 0, 0, 0, 0, 0, 1),) * 3
 
 
-@pytest.mark.parametrize(
-    ("flags", "trials"),
-    [
-        ("--protocol robust", None),
-        ("--protocol robust --aim-for eta", "sequential"),
-        ("--protocol robust --aim-for eta --trials all", "all"),
-        ("--protocol robust --trials sequential --finalists 7", "sequential"),
-        ("SPEC --seed 3", None),
-    ],
-)
-def test_trials_are_sequential_where_eta_is_asked_for_and_no_spec_says_otherwise(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, flags: str, trials: str | None
-) -> None:
-    found: list[RunSpec] = []
-    monkeypatch.setattr(run_commands, "start_run", lambda spec, *_: found.append(spec))
-    file = tmp_path / "spec.toml"
-    file.write_text('protocol = "robust"\naim_for = "eta"\n')
-    scene = ["--gripper", "panda", "--object", "mug"]
-    CliRunner().invoke(
-        app, ["run", *flags.replace("SPEC", str(file)).split(), *scene], catch_exceptions=False
-    )
-    assert [spec.trials for spec in found] == [trials]
-
-
-@pytest.mark.parametrize(
-    ("flags", "words"),
-    [
-        ("--trials sequential", "trials = 'sequential' is for the protocol 'robust', and 'physical' has no"),
-        ("--protocol robust --finalists 3", "or take trials = 'sequential'"),
-        ("--protocol robust --trials some", "trials must be one of 'all', 'sequential', got 'some'"),
-    ],
-)
-def test_trials_that_cannot_be_are_refused(flags: str, words: str) -> None:
-    done = CliRunner().invoke(app, ["run", "--gripper", "panda", "--object", "mug", *flags.split()])
-    assert isinstance(done.exception, InputError)
-    assert words in str(done.exception)
-
-
 EVIL = "\x1b[2J"
 
 
@@ -135,12 +99,6 @@ def test_what_a_coordinator_says_of_its_job_is_escaped(monkeypatch, capsys) -> N
     said = capsys.readouterr().out
     assert r"paused: \x1b[2J" in said
     assert EVIL not in said
-
-
-def test_what_it_answers_to_an_order_is_escaped(monkeypatch, capsys, tmp_path) -> None:
-    monkeypatch.setattr(job_commands, "open_session", session)
-    job_commands.send_order("mugs", "tcp/127.0.0.1:1", tmp_path, Order(act="pause"))
-    assert capsys.readouterr().out == "Done. \\x1b[2J\n"
 
 
 def test_a_job_that_answers_late_is_known_and_may_still_carry_an_order_out(monkeypatch, tmp_path) -> None:
@@ -160,6 +118,42 @@ def test_a_job_that_answers_late_is_known_and_may_still_carry_an_order_out(monke
     ):
         with pytest.raises(InputError, match=words):
             job_commands.send_order(job, "tcp/127.0.0.1:1", tmp_path, Order(act="pause"))
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        ("--set trials=sequential", "trials = 'sequential' is for the protocol 'robust'"),
+        ("--protocol robust --set trials=some", "trials must be one of 'all', 'sequential', got 'some'"),
+        ("--set sed=1", "Unknown key 'sed'. Did you mean 'seed'?"),
+        ("--set seed", "seed must be a whole number at least 0, got ''"),
+        ("--set poses=1", "Unknown key 'poses'"),
+        ("--mesh hul", "mesh must be a table of simplify"),
+        ("--mesh remesh,hull", "give one of them|take one of them"),
+        ("--units mile", "Unknown unit 'mile'"),
+        ("--resting-pose all", "resting_pose must be"),
+    ],
+)
+def test_flags_that_cannot_be_are_refused(flags: str, words: str) -> None:
+    done = CliRunner().invoke(app, ["run", "--gripper", "panda", "--object", "mug", *flags.split()])
+    assert isinstance(done.exception, InputError)
+    assert re.search(words, str(done.exception))
+
+
+def test_flags_and_set_give_the_keys_of_a_spec(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    found: list[RunSpec] = []
+    monkeypatch.setattr(run_commands, "start_run", lambda spec, *_: found.append(spec))
+    mesh = tmp_path / "part.stl"
+    line = f"--gripper panda --object {mesh} --mass 0.3 --units mm --mesh glued,simplify=900 --seed 4 "
+    line += (
+        "--set population=7 --set base=physical --protocol robust --set overlaps=redraw --resting-pose any"
+    )
+    CliRunner().invoke(app, ["run", *line.split()], catch_exceptions=False)
+    (spec,) = found
+    assert (spec.scale, spec.seed, spec.population, spec.base) == (0.001, 4, 7, "physical")
+    assert spec.mesh == MeshPreparation(glued=True, simplify=900)
+    assert (spec.overlaps, spec.resting_pose) == ("redraw", "any")
+    assert options.preparation(options.mesh_words(spec.mesh)) == spec.mesh
 
 
 ON_DEVICE = ("--gripper", "panda", "--object", "mug", "--protocol", "physical", "--engine", "mujoco-warp")

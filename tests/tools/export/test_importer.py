@@ -77,7 +77,7 @@ TAKEN = "they are taken for those of link 'panda_hand' of gripper 'panda'."
         (
             {"object__scale": 0.5},
             ["The file scales its mesh by 0.5, and here it is scaled by 1: "
-             "if it is the same mesh, add --scale 0.5."],
+             "if it is the same mesh, add --units 0.5."],
         ),
         ({"gripper__type": "robotiq"}, [f"The file has poses of gripper 'robotiq'; {TAKEN}"]),
         (("panda_hand", "palm"), [f"The file has poses of link 'palm'; {TAKEN}"]),
