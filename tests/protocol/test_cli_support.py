@@ -1,6 +1,5 @@
 """Sentences of commands, and exit codes of impossible command lines and of signals."""
 
-import logging
 import os
 import signal
 import subprocess
@@ -15,9 +14,7 @@ from tests.common import PATIENCE
 from typer.exceptions import TyperException
 
 from qdgrasp_protocol.cli_support import echo, usage_error
-from qdgrasp_protocol.process import SUPERVISED, configure_logging
-from qdgrasp_protocol.text import counted, first_few, join_numbers, parse_numbers, quoted
-from qdgrasp_tools.local.progress import LineProgress
+from qdgrasp_protocol.process import SUPERVISED
 
 
 class Part(StrEnum):
@@ -42,11 +39,6 @@ def show(
 @inner.command()
 def new(name: str) -> None:
     """Do nothing, with another name."""
-
-
-@inner.command()
-def other() -> None:
-    """Do nothing, as a second command."""
 
 
 def said(*words: str) -> str:
@@ -111,18 +103,6 @@ LEAST = "it must be greater than or equal to 0"
 )
 def test_a_sentence_says_what_is_wrong_and_which_help_tells_more(words, fault, command) -> None:
     assert said(*words.split()) == f"{fault}. See `{command} --help`."
-
-
-def test_a_number_that_is_none_is_told_with_what_came() -> None:
-    words = said("show", "--grasp", "many")
-    assert "it must be a valid integer" in words
-    assert words.endswith("got 'many'. See `program show --help`.")
-
-
-def test_an_error_that_knows_no_command_names_the_program() -> None:
-    assert usage_error(typer.BadParameter("--out is missing: name a file."), "program") == (
-        "Invalid value: --out is missing: name a file. See `program --help`."
-    )
 
 
 DEAF = """
@@ -199,43 +179,7 @@ def test_a_signal_within_a_text_that_is_executed_has_its_exit_code_too(number: i
     assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
 
 
-@pytest.mark.parametrize(
-    ("count", "words"), [(0, ""), (1, "a"), (2, "a, b"), (3, "a, b and 1 more"), (5, "a, b and 3 more")]
-)
-def test_of_many_names_some_are_told_and_how_many_more(count: int, words: str) -> None:
-    assert first_few(list("abcde")[:count], 2) == words
-
-
 def test_what_is_printed_keeps_its_lines_and_nothing_else_that_a_terminal_obeys(capsys) -> None:
     echo("one\r\x1b[1A\ntwo\x9b2J\u202e \ud800 é")
     echo("three\x07", err=True)
     assert capsys.readouterr() == ("one\\r\\x1b[1A\ntwo\\x9b2J\\u202e \\ud800 é\n", "three\\x07\n")
-
-
-def test_lines_of_progress_and_of_libraries_are_escaped(capfd: pytest.CaptureFixture[str]) -> None:
-    configure_logging("tests")
-    LineProgress("run").say("one\x1b[2J")
-    assert logging.lastResort is not None
-    logging.lastResort.emit(logging.makeLogRecord({"msg": "the mesh '%s'", "args": ("\x1b[2J.stl",)}))
-    assert capfd.readouterr().err == "one\\x1b[2J\nthe mesh '\\x1b[2J.stl'\n"
-
-
-def test_names_of_others_are_quoted() -> None:
-    assert quoted(["a b", ""]) == ["'a b'", "''"]
-
-
-def test_numbers_are_told_as_a_person_writes_them_and_read_again() -> None:
-    assert join_numbers([0.0, -1.0, 0.25, 1e-9]) == "0, -1, 0.25, 1e-09"
-    assert parse_numbers(join_numbers([0.0, -1.0, 0.25, 1e-9])) == [0.0, -1.0, 0.25, 1e-9]
-
-
-@pytest.mark.parametrize("text", ["", "up", "1,", "1,two", "1 2", "1;2"])
-def test_what_holds_anything_but_numbers_holds_none(text: str) -> None:
-    assert parse_numbers(text) == []
-
-
-def test_one_thing_is_told_from_several() -> None:
-    assert [counted(n, "run") for n in (0, 1, 2)] == ["0 runs", "1 run", "2 runs"]
-    assert counted(1, "success", "successes") == "1 success"
-    assert counted(2000, "success", "successes", "{:,}".format) == "2,000 successes"
-    assert counted(1, "run is", "runs are") == "1 run is"

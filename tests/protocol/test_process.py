@@ -9,7 +9,6 @@ from pathlib import Path
 from queue import SimpleQueue
 
 import pytest
-from setproctitle import getproctitle, setproctitle
 from tests.common import PATIENCE
 
 from qdgrasp_protocol.process import SUPERVISED, lifetime
@@ -34,16 +33,6 @@ def test_a_signal_that_wakes_another_thread_is_heard_all_the_same(number: signal
         late.join()
         assert stop.exit_code == 128 + number
     assert signal.getsignal(number) is before
-
-
-def test_a_title_has_no_blanks_at_which_slurm_would_stop_reading() -> None:
-    before = getproctitle()
-    try:
-        with lifetime("qdgrasp campaign"):
-            assert getproctitle() == "qdgrasp-campaign"
-            assert Path("/proc/self/stat").read_text().partition(") ")[0].count(" ") == 1
-    finally:
-        setproctitle(before)
 
 
 def test_a_lifetime_leaves_nothing_open() -> None:

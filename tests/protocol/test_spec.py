@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from qdgrasp_protocol import spec
-from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.spec import (
     AimFor,
     DiversityName,
@@ -54,27 +54,6 @@ SPECS = st.builds(
 @given(SPECS)
 def test_a_spec_comes_back_from_its_toml(spec: RunSpec) -> None:
     assert from_toml(to_toml(spec)) == spec
-
-
-def test_gripper_and_object_are_enough_and_all_but_the_method_is_as_in_the_paper() -> None:
-    spec = run_spec(dict(LEAST))
-    assert (spec.evaluations, spec.seed, spec.population) == (10_000, 0, 500)
-    assert (spec.mutation_sigma, spec.mutation_probability) == (0.1, 0.3)
-    assert (spec.method, spec.protocol, spec.overlaps) == ("aimed", "paper", "count")
-
-
-@pytest.mark.parametrize("missing", ["gripper", "object"])
-def test_what_is_missing_is_named_with_its_flag(missing: str) -> None:
-    with pytest.raises(InputError, match=f"'{missing}' is missing; name one with --{missing}"):
-        run_spec({key: value for key, value in LEAST.items() if key != missing})
-
-
-def test_a_misspelt_key_is_refused_with_a_guess_and_all_known_keys() -> None:
-    with pytest.raises(UnknownKey) as caught:
-        run_spec(LEAST | {"evaluation": 100}, "my.toml")
-    words = str(caught.value)
-    assert words.startswith("my.toml: unknown key 'evaluation'. Did you mean 'evaluations'?")
-    assert all(name in words for name in RunSpec.__struct_fields__)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Bad input: one clear sentence, exit code 2, nothing lost or half-written."""
 
-import os
 import re
 import socket
 from importlib.resources import files
@@ -89,18 +88,6 @@ def test_an_empty_or_unreadable_mesh_is_refused(qdgrasp, content):
     assert "part.stl" in sentence(qdgrasp("run", "--gripper", "panda", "--object", part, "--mass", "0.3"))
 
 
-def test_a_pipe_in_the_place_of_a_mesh_is_not_waited_for(qdgrasp):
-    os.mkfifo(qdgrasp.home / "pipe.stl")
-    for command in (("run", "--gripper", "panda", "--mass", "1", "--object"), ("object", "check")):
-        assert "it is no ordinary file; name a file such as" in sentence(qdgrasp(*command, "pipe.stl"))
-
-
-def test_a_gripper_file_that_is_not_complete_names_what_is_missing(qdgrasp):
-    hand = qdgrasp.home / "hand.toml"
-    hand.write_text('urdf = "hand.urdf"\nbase_link = "palm"\n')
-    assert "hand.toml" in sentence(qdgrasp("run", "--gripper", hand, "--object", "mug"))
-
-
 @pytest.mark.parametrize(
     ("file", "before", "after", "words"),
     [
@@ -132,11 +119,6 @@ def test_a_folder_that_holds_other_files_is_left_alone(qdgrasp):
     assert len(list(out.iterdir())) == 1
 
 
-def test_a_folder_that_holds_a_run_names_resume(qdgrasp, reference):
-    assert "qdgrasp resume" in sentence(qdgrasp(*RUN[:-1], reference[0]))
-    assert qdgrasp.digest(reference[0]) == reference[1]
-
-
 @pytest.mark.parametrize("command", ["info", "digest", "resume"])
 def test_a_folder_without_a_run_is_refused(qdgrasp, command):
     assert "run" in sentence(qdgrasp(command, "nowhere"))
@@ -148,8 +130,3 @@ def test_a_port_that_is_taken_is_named(qdgrasp):
     with socket.create_server(("127.0.0.1", 0)) as server:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
         assert endpoint in sentence(qdgrasp("run", *SMALL, "--listen", endpoint, "--out", "out"))
-
-
-def test_a_reference_set_without_the_object_names_those_it_has(qdgrasp, reference):
-    done = qdgrasp("coverage", reference[0], "--reference", "nowhere.npz", "--object", "tennis_ball")
-    assert "nowhere.npz" in sentence(done)

@@ -1,10 +1,6 @@
 """Many runs from one file: each is the run it would be alone, also after kills."""
 
-import shutil
-import signal
-import sqlite3
 import subprocess
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -16,19 +12,14 @@ from tests.system.commands import (
     digest_of,
     end_of,
     has_rows,
-    is_alive,
     kill,
     pids,
-    processes_of,
-    rows_recorded,
 )
 from tests.system.test_bad_input import sentence
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_tools.campaign.campaign_file import read_campaign
 
-EVERY = Path(__file__).parents[2] / "deploy" / "campaigns" / "every.toml"
 SMALL = """
 [defaults]
 gripper = "panda"
@@ -43,7 +34,6 @@ evaluations = 160
 """
 RUNS = {
     "panda-tennis_ball-contact_rand-s0-population40": ("--method", "contact_rand", "--evaluations", 80),
-    "panda-rubiks_cube-aimed-s0-population40": ("--evaluations", 160, "--set", "generations_in_flight=1"),
 }
 
 
@@ -129,24 +119,6 @@ def test_an_object_with_enough_grasps_ends_early_and_one_with_few_goes_on_to_the
     assert digests(qdgrasp) == digests(qdgrasp, "whole")
 
 
-@pytest.mark.slow
-def test_a_campaign_that_grew_carries_out_what_is_missing_and_no_more(done, qdgrasp):
-    shutil.copytree(done.home / "out", qdgrasp.home / "out")
-    longer = SMALL.replace("evaluations = 160", "evaluations = 200")
-    grown = longer.replace(
-        '"contact_rand", "contact_me_scs"]', '"contact_rand", "contact_me_scs"]\nseed = [0, 1]'
-    )
-    ended = qdgrasp.succeed("campaign", write(qdgrasp.home, grown), "--out", "out", "--workers", 2)
-    assert "2 of 5 runs are finished already" in ended.err
-    assert "5 of 5 runs with 520 evaluations" in ended.out
-    extended = "panda-rubiks_cube-aimed-s0-population40"
-    finished = digests(done).keys() - {extended}
-    for found in (digests, cpu_seconds):
-        before, after = found(done), found(qdgrasp)
-        assert {name: after[name] for name in finished} == {name: before[name] for name in finished}
-    assert qdgrasp.info(Path("out/runs") / extended)["evaluations"] == 200
-
-
 # Impossible campaigns.
 
 
@@ -154,7 +126,6 @@ def test_a_campaign_that_grew_carries_out_what_is_missing_and_no_more(done, qdgr
     ("text", "words"),
     [
         ("gripper = ", ["many.toml"]),
-        ('gripper = "panda"\nobject = "mug"\n', ["'gripper'", "cross"]),
         ('[[cross]]\ngripper = "panda"\nobject = ["mug", "mugg"]\n', ["mugg", "mug"]),
         ('[[cross]]\ngripper = "shadow"\nobject = "mug"\nmethod = "antipodal_rand"\n', ["two-finger"]),
     ],
@@ -163,44 +134,6 @@ def test_a_file_that_asks_for_what_cannot_be_is_refused(qdgrasp, text, words):
     said = sentence(qdgrasp("campaign", write(qdgrasp.home, text), "--out", "out"))
     assert all(word in said for word in words)
     assert [path.name for path in qdgrasp.home.iterdir()] == ["many.toml"]
-
-
-def test_what_is_no_campaign_is_refused(qdgrasp, reference):
-    assert "nowhere.toml" in sentence(qdgrasp("campaign", "nowhere.toml"))
-    assert "`qdgrasp campaign many.toml`" in sentence(qdgrasp("run", write(qdgrasp.home).name))
-    assert "single run" in sentence(qdgrasp("campaign", reference[0]))
-    file = write(qdgrasp.home)
-    assert "single run" in sentence(qdgrasp("campaign", file, "--out", reference[0]))
-    (qdgrasp.home / "thesis").mkdir()
-    (qdgrasp.home / "thesis" / "thesis.tex").write_text("years of work")
-    assert "other files" in sentence(qdgrasp("campaign", file, "--out", "thesis"))
-    assert "no campaign" in sentence(qdgrasp("campaign", "thesis"))
-
-
-def test_a_folder_of_a_campaign_is_no_place_for_anything_else(done):
-    one = next(path for _, path in runs(done, "out"))
-    for command in (("resume", one), ("rerank", one, "--top", 5, "--out", one)):
-        assert "`qdgrasp campaign" in sentence(done(*command))
-    assert "holds a campaign" in sentence(done("resume", "out"))
-    run = ("run", "--gripper", "panda", "--object", "mug", "--evaluations", 1, "--out")
-    assert "campaign" in sentence(done(*run, "out"))
-    for path in (one, one.with_name("another")):
-        assert "is for a run of a campaign" in sentence(done(*run, path))
-    assert "--out" in sentence(done("campaign", "out", "--out", "elsewhere"))
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "words"),
-    [
-        ('"contact_rand", ', "", "such as 'panda-tennis_ball-contact_rand-s0-population40'"),
-        ("population = 40", "population = 30", "3 runs that are not asked for any more"),
-        ("evaluations = 160", "evaluations = 159", "at least 160, which are recorded"),
-    ],
-)
-def test_a_campaign_that_would_lose_something_is_refused_and_stays_as_it_was(done, before, after, words):
-    said = sentence(done("campaign", write(done.home, SMALL.replace(before, after)), "--out", "out"))
-    assert words in said
-    assert read_campaign(done.home / "out" / "campaign.toml").runs == read_campaign(write(done.home)).runs
 
 
 @pytest.mark.slow
@@ -221,21 +154,6 @@ def test_a_run_that_cannot_be_made_is_told_of_at_the_end_and_the_others_are_done
     assert "4 of 4 runs" in qdgrasp.succeed("campaign", "out", "--workers", 2).out
 
 
-def test_meshes_that_cannot_be_used_are_all_named_before_anything_is_begun(qdgrasp):
-    parts = qdgrasp.home / "my parts"
-    parts.mkdir()
-    (parts / "none.stl").write_bytes(b"this is no mesh")
-    trimesh.creation.box(extents=(50, 60, 70)).export(parts / "large.stl")
-    folder = ("campaign", "--gripper", "panda", "--objects", "my parts", "--density", 1000, "--out", "out")
-    text = "".join(f'[[cross]]\nobject = "{mesh}"\nmass = 0.3\n' for mesh in sorted(parts.iterdir()))
-    for asked in (folder, ("campaign", write(qdgrasp.home, SMALL + text), "--out", "out")):
-        refused = qdgrasp(*asked)
-        assert "2 of 2 meshes cannot be used as they are, and nothing was begun" in sentence(refused)
-        assert "large.stl: it is 50 x 60 x 70 m large" in refused.err
-        assert "none.stl: The mesh" in refused.err
-        assert not (qdgrasp.home / "out").exists()
-
-
 def test_a_folder_of_meshes_is_a_campaign(qdgrasp):
     parts = qdgrasp.home / "my parts"
     parts.mkdir()
@@ -246,21 +164,6 @@ def test_a_folder_of_meshes_is_a_campaign(qdgrasp):
     found = qdgrasp.info("out/runs/panda-large-one-aimed-s0-physical")
     assert (found["complete"], found["scale"], found["protocol"]) == (True, 0.001, "physical")
     assert "1 of 1 run with" in qdgrasp("campaign", "out").out
-
-
-@pytest.mark.slow
-def test_a_damaged_journal_is_told_of_at_the_end_and_the_others_are_done(done, qdgrasp):
-    shutil.copytree(done.home / "out", qdgrasp.home / "out")
-    name, path = runs(qdgrasp, "out")[0]
-    with closing(sqlite3.connect(path / "run.sqlite")) as journal, journal:
-        journal.execute("UPDATE blocks SET crc = crc + 1 WHERE first = 0")
-    grown = SMALL.replace('method = ["contact_rand"', 'seed = [0, 1]\nmethod = ["contact_rand"')
-    said = sentence(qdgrasp("campaign", write(qdgrasp.home, grown), "--out", "out", "--workers", 2))
-    assert f"1 of 5 runs could not be carried out; the first is '{name}'" in said
-    assert "are not what was recorded" in said
-    others = [found for other, found in runs(qdgrasp, "out") if other != name]
-    assert len(others) == 4
-    assert all(rows_recorded(other) >= 80 for other in others)
 
 
 # A process is killed.
@@ -285,17 +188,6 @@ def go_on(qdgrasp: Commands, done: Commands) -> None:
 
 
 @pytest.mark.slow
-def test_a_stopped_campaign_names_the_command_that_goes_on(qdgrasp, done):
-    process = start(qdgrasp, 60)
-    started = list(processes_of(process.pid).values())
-    process.send_signal(signal.SIGINT)
-    _, err = end_of(process, 130)
-    assert "`qdgrasp campaign out` goes on" in err
-    assert not any(map(is_alive, started))
-    go_on(qdgrasp, done)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, 150])
 def test_a_killed_coordinator_ends_the_campaign_early_and_it_goes_on(qdgrasp, done, rows):
     process = start(qdgrasp, rows)
@@ -304,33 +196,6 @@ def test_a_killed_coordinator_ends_the_campaign_early_and_it_goes_on(qdgrasp, do
     assert "was killed by SIGKILL" in err
     assert "`qdgrasp campaign out` goes on" in err
     go_on(qdgrasp, done)
-
-
-@pytest.mark.slow
-def test_a_killed_recorder_is_started_again_and_no_run_loses_anything(qdgrasp, done):
-    process = start(qdgrasp, 30)
-    for rows in (30, 150):
-        has_rows(process, qdgrasp.home / "out", rows)
-        kill(wait_for(lambda: pids(process, "recorder"), "a recorder")[0])
-    end_of(process)
-    assert digests(qdgrasp) == digests(done)
-
-
-@pytest.mark.slow
-def test_when_the_command_is_killed_its_processes_end_and_finished_runs_stay(qdgrasp, done):
-    process = start(qdgrasp, 150)
-    started = list(processes_of(process.pid).values())
-    kill(process.pid)
-    process.communicate()
-    wait_for(lambda: not any(map(is_alive, started)), "the orphans' end")
-    go_on(qdgrasp, done)
-
-
-@pytest.mark.slow
-def test_a_campaign_in_use_is_left_alone(qdgrasp):
-    process = start(qdgrasp, 1)
-    assert "in use" in sentence(qdgrasp("campaign", "out"))
-    assert process.poll() is None
 
 
 @pytest.mark.slow
@@ -344,17 +209,3 @@ def test_a_worker_started_by_hand_helps(qdgrasp, done):
     worker.terminate()
     assert worker.wait(PATIENCE) == 143
     assert digests(qdgrasp) == digests(done)
-
-
-@pytest.mark.slow
-def test_every_method_works_with_a_hand_of_three_fingers(qdgrasp):
-    """A slice of `every.toml`: the rest takes hours."""
-    text = EVERY.read_text()
-    first = text.partition("[[cross]] #")[0].replace("evaluations = 300", "evaluations = 60")
-    begin, end = first.index("object = ["), first.index("]\n", first.index("object = [")) + 2
-    slice_ = first[:begin] + 'object = "mug"\n' + first[end:]
-    slice_ = slice_.replace('["panda", "barrett", "allegro", "shadow"]', '"barrett"')
-    ended = qdgrasp.succeed("campaign", write(qdgrasp.home, slice_), "--out", "out", "--workers", 2)
-    assert "12 of 12 runs with 720 evaluations" in ended.out
-    for folder in (qdgrasp.home / "out" / "runs").iterdir():
-        assert qdgrasp.info(folder)["errors"] == 0

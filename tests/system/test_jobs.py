@@ -1,6 +1,5 @@
 """Jobs and workers while they go on: seen, paused, drained, stopped."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -11,7 +10,6 @@ from pathlib import Path
 import pytest
 from tests.common import own_endpoint, wait_for
 from tests.system.commands import (
-    COORDINATOR,
     LONG,
     SMALL,
     WORKER,
@@ -24,12 +22,10 @@ from tests.system.commands import (
     pids,
     processes_of,
     rows_recorded,
-    says,
     stop,
 )
 from tests.system.test_bad_input import sentence
 
-from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 
@@ -99,24 +95,6 @@ def test_a_cancelled_job_keeps_what_it_has_and_can_be_gone_on_with(qdgrasp, long
     assert qdgrasp.digest("run") == long_digest
 
 
-def test_a_coordinator_that_is_cancelled_ends_as_it_was_asked_to(qdgrasp):
-    (qdgrasp.home / "mugs.toml").write_text('gripper = "panda"\nobject = "tennis_ball"\n')
-    endpoint = own_endpoint()
-    process = qdgrasp.start("mugs.toml", "--listen", endpoint, module=COORDINATOR)
-    says(process, "listening")
-    wait_for(lambda: qdgrasp("cancel", "mugs", "--connect", endpoint).code == 0, "somebody to cancel it")
-    _, err = end_of(process)
-    assert err.endswith("qdgrasp-coordinator: Job 'mugs' was cancelled.\n")
-
-
-@pytest.mark.slow
-def test_a_run_stops_after_its_seconds_and_goes_on(qdgrasp, long_digest):
-    done = qdgrasp.succeed("run", *LONG, "--workers", 1, "--out", "run", "--seconds", 1.5)
-    assert "It is not finished; `qdgrasp resume run` goes on" in done.out
-    qdgrasp.succeed("resume", "run", "--workers", 1)
-    assert qdgrasp.digest("run") == long_digest
-
-
 @pytest.mark.slow
 def test_a_run_ends_with_its_goal_and_is_extended_from_there(qdgrasp):
     goal = ("run", *SMALL, "--evaluations", 200, "--workers", 1)
@@ -133,33 +111,13 @@ def test_a_run_ends_with_its_goal_and_is_extended_from_there(qdgrasp):
     assert qdgrasp.digest("run") == qdgrasp.digest("whole")
 
 
-def test_a_job_is_found_by_its_folder_and_says_how_it_is_watched_and_joined(qdgrasp):
-    job = Running(qdgrasp)
-    with job.at_rest():
-        says(
-            job.process, f"by `qdgrasp-monitor run`, add workers by `qdgrasp-worker --connect {job.endpoint} "
-        )
-        for done in (qdgrasp("jobs", "run", "--json"), qdgrasp("run", "--once", "--json", entry="monitor")):
-            assert done.json["endpoint"] == job.endpoint
-            assert [one["meta"]["job"] for one in done.json["jobs"]] == ["mugs"]
-        stranger = qdgrasp.home / "stranger"  # a job of the same name, begun elsewhere
-        JobFolder.create(stranger, "mugs").write_endpoint(job.endpoint)
-        for words in (("jobs", "stranger"), ("jobs", "nowhere"), ("jobs", "run", "--connect", job.endpoint)):
-            sentence(qdgrasp(*words))
-        assert "No coordinator of stranger is there now" in sentence(qdgrasp("jobs", "stranger"))
-    stop(job.process, signal.SIGTERM)
-    assert "No coordinator of run is there now; `qdgrasp resume run`" in sentence(qdgrasp("jobs", "run"))
-
-
 def test_where_nobody_is_it_is_said(qdgrasp):
     endpoint = own_endpoint()
-    assert "Nothing answers at" in sentence(qdgrasp("jobs", "--connect", endpoint))
     with ZenohBus.router(endpoint):
         assert qdgrasp("jobs", "--connect", endpoint).out.startswith(f"No job is at {endpoint}")
         assert qdgrasp("jobs", "--connect", endpoint, "--json").json == {"endpoint": endpoint, "jobs": []}
         assert "No job is at" in sentence(qdgrasp("pause", "mugs", "--connect", endpoint))
-    for whom in ((), ("--worker", "a", "--host", "b"), ("--worker", "Moon")):
-        assert "worker" in sentence(qdgrasp("drain", "mugs", *whom, "--connect", endpoint))
+    assert "worker" in sentence(qdgrasp("drain", "mugs", "--worker", "Moon", "--connect", endpoint))
 
 
 ROUTER = """
@@ -202,42 +160,11 @@ def simulator(worker: subprocess.Popen[str]) -> int:
     return wait_for(lambda: simulators(worker.pid), "a simulator")[0]
 
 
-STOPS = pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
-
-
-@STOPS
-def test_a_worker_stops_while_it_seeks_a_router(qdgrasp, endpoint, number):
-    worker = start(qdgrasp, endpoint)
-    simulator(worker)
-    stop(worker, number)
-
-
 def test_a_simulator_does_not_outlive_its_worker(qdgrasp, endpoint):
     worker = start(qdgrasp, endpoint)
     left = simulator(worker)
     kill(worker.pid)
     wait_for(lambda: not is_alive(left), "its end")
-
-
-@STOPS
-def test_a_worker_stops_while_a_coordinator_does_not_answer_and_when_its_router_is_gone(
-    qdgrasp, endpoint, number
-):
-    with router(endpoint):
-        worker, other = start(qdgrasp, endpoint), start(qdgrasp, endpoint)
-        for process in (worker, other):
-            simulator(process)
-        stop(worker, number)
-    stop(other, number)
-
-
-@STOPS
-def test_a_worker_stops_whose_router_stands_still(qdgrasp, endpoint, number):
-    with router(endpoint) as still:
-        worker = start(qdgrasp, endpoint)
-        simulator(worker)
-        still.send_signal(signal.SIGSTOP)
-        stop(worker, number)
 
 
 @pytest.fixture
@@ -247,17 +174,6 @@ def job(qdgrasp: Commands) -> Iterator[tuple[subprocess.Popen[str], str]]:
     endpoint = qdgrasp.home / "run" / "endpoint"
     wait_for(endpoint.is_file, "the router")
     return process, endpoint.read_text().strip()
-
-
-@pytest.mark.slow
-@STOPS
-def test_a_worker_stops_whose_simulator_stands_still(qdgrasp, job, number):
-    process, endpoint = job
-    worker = start(qdgrasp, endpoint, "--job", "run")
-    wait_for(lambda: rows_recorded(qdgrasp.home / "run") > 0 or worker.poll() is not None, "a row")
-    os.kill(simulator(worker), signal.SIGSTOP)
-    stop(worker, number)
-    assert process.poll() is None
 
 
 @pytest.mark.slow
@@ -279,26 +195,6 @@ def test_workers_of_one_command_carry_a_job_out_whatever_is_killed(qdgrasp, job,
     end_of(process)
     assert qdgrasp.digest("run") == long_digest
     stop(team, signal.SIGTERM)
-
-
-@pytest.mark.slow
-def test_simulators_that_end_now_and_then_change_nothing(qdgrasp, job, long_digest):
-    process, endpoint = job
-    worker = start(qdgrasp, endpoint, "--job", "run")
-    folder = qdgrasp.home / "run"
-    for rows in (1, 40, 80):
-        wait_for(lambda rows=rows: rows_recorded(folder) >= rows, f"{rows} rows")
-        os.kill(simulator(worker), signal.SIGSEGV)
-    end_of(process)
-    assert qdgrasp.digest("run") == long_digest
-    assert qdgrasp.info("run")["errors"] == 0
-    stop(worker, signal.SIGTERM)
-
-
-def test_workers_that_cannot_be_are_not_started_again_and_again(qdgrasp, endpoint):
-    _, err = end_of(qdgrasp.start("--connect", endpoint, "--workers", 2, "--wait", 0, module=WORKER), 2)
-    assert "Nothing answers at" in err
-    assert "Traceback" not in err
 
 
 def test_the_doctor_sees_that_a_simulator_works_here(qdgrasp):

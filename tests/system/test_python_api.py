@@ -12,7 +12,7 @@ from tests.system.commands import ROUTER, Commands, digest_of, says
 
 import qdgrasp
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError
+from qdgrasp_protocol.errors import EndedEarly, ImpossibleValue
 from qdgrasp_protocol.session import Role
 from qdgrasp_tools.security.folder import SecurityFolder
 from qdgrasp_worker.evaluator import Evaluator
@@ -94,26 +94,11 @@ def test_how_genomes_are_grouped_changes_nothing(evaluations: qdgrasp.Evaluation
         assert parts[column].tobytes() == whole[column].tobytes(), column
 
 
-def test_no_genomes_give_no_rows(evaluations: qdgrasp.Evaluations) -> None:
-    assert len(evaluations.evaluate(np.zeros((0, len(evaluations.layout))))) == 0
-
-
 def test_times_that_are_over_leave_the_next_call_in_order(evaluations, near) -> None:
     for asked in (near, near[5:], near[:2]):
         with pytest.raises(TimeoutError):
             evaluations.evaluate(asked, timeout=0.0)
     assert evaluations.evaluate(near[:3])["genome"].tobytes() == near[:3].tobytes()
-
-
-def test_genomes_are_looked_at_before_anybody_evaluates_them(evaluations: qdgrasp.Evaluations) -> None:
-    with pytest.raises(ImpossibleValue, match="x_r, y_r, z_r, nu"):
-        evaluations.evaluate(np.zeros((3, 2)))
-
-
-def test_evaluations_are_opened_by_a_with_block() -> None:
-    closed = qdgrasp.Evaluations(prior="approach", place=ONE, **SCENE)
-    with pytest.raises(InputError, match="with-block"):
-        closed.evaluate(np.zeros((1, 7)))
 
 
 def test_poses_that_were_found_score_as_they_did(evaluations: qdgrasp.Evaluations, near: np.ndarray) -> None:
@@ -141,12 +126,6 @@ def test_a_job_that_is_cancelled_ends_the_waiting(commands: Commands) -> None:
         waiting.join(PATIENCE)
     assert done.code == 0, done.err
     assert "cancelled" in str(heard[0])
-
-
-def test_certificates_of_the_environment_are_not_for_links_within_this_machine(near, monkeypatch) -> None:
-    monkeypatch.setenv("QDGRASP_SECURITY", "/nowhere")
-    with qdgrasp.Evaluations(prior="approach", place=ONE, **SCENE) as evaluations:
-        assert len(evaluations.evaluate(near[:1])) == 1
 
 
 @pytest.fixture
@@ -178,12 +157,6 @@ def test_a_run_with_a_search_of_ones_own_is_a_run(mine: qdgrasp.Run, commands: C
     assert "custom_approach" in commands.succeed("info", mine.path).out
 
 
-def test_its_journal_is_the_same_whatever_the_workers(mine, tmp_path, capsys) -> None:
-    again = optimise(Steps, tmp_path / "run", progress=True, place=TWO)
-    assert "run: 0 of 140 evaluations, starting" in capsys.readouterr().err
-    assert digest_of(again.path) == digest_of(mine.path)
-
-
 def test_what_was_stopped_goes_on_where_it_was(mine: qdgrasp.Run, tmp_path: Path) -> None:
     out = tmp_path / "run"
     with pytest.raises(ZeroDivisionError):
@@ -196,28 +169,6 @@ def test_what_was_stopped_goes_on_where_it_was(mine: qdgrasp.Run, tmp_path: Path
 
     assert digest_of(optimise(make, out, resume=True).path) == digest_of(mine.path)
     assert made[0].told == [0, 1, 2, 3]
-
-
-def test_a_search_that_asks_otherwise_does_not_go_on(mine: qdgrasp.Run, tmp_path: Path) -> None:
-    class Other(Steps):
-        def ask(self, generation: int) -> np.ndarray:
-            return -super().ask(generation)
-
-    with pytest.raises(InputError, match="genome differs from what the spec asks in generation 0"):
-        optimise(Other, mine.path, evaluations=200, resume=True)
-
-
-def test_only_its_program_goes_on_with_it(mine: qdgrasp.Run, commands: Commands) -> None:
-    done = commands("run", mine.path / "spec.toml", "--out", "again")
-    assert done.code == 2
-    assert "qdgrasp.optimise" in done.err
-
-
-def test_a_folder_that_holds_a_run_is_not_written_over(mine: qdgrasp.Run) -> None:
-    with pytest.raises(FolderError, match="holds a run already"):
-        optimise(Steps, mine.path)
-    with pytest.raises(FolderError, match="another object"):
-        optimise(Steps, mine.path, resume=True, object="mug")
 
 
 def test_genomes_that_are_none_end_the_run_with_a_sentence(tmp_path: Path) -> None:

@@ -3,19 +3,16 @@
 import csv
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.spatial.transform import Rotation
 from tests.common import wait_for
 from tests.system.commands import BUDGET, SMALL, Commands, rows_recorded
 
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import GIVEN, Outcome
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import read_run_spec
-from qdgrasp_tools.campaign.ranking import best_of_kinds, read_run_grasps
-from qdgrasp_worker.evaluator import Evaluator
+from qdgrasp_tools.campaign.ranking import read_run_grasps
 
 
 def test_a_run_ends_with_exactly_its_budget_and_says_what_it_found(reference):
@@ -39,6 +36,7 @@ def test_the_spec_in_a_run_folder_repeats_the_run_whatever_the_workers_and_batch
     assert read_run_spec(qdgrasp.home / "again" / "spec.toml") == read_run_spec(folder / "spec.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["physical", "paper"])
 def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(protocol, qdgrasp, reference):
     scene = ("--gripper", "panda", "--object", "rubiks_cube", "--protocol", protocol, "--engine", "mujoco")
@@ -75,65 +73,11 @@ def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(protoc
     assert words in qdgrasp.succeed("show", "one", "--grasp", table[0]["row"]).out
 
 
-def test_a_run_in_two_engines_is_the_same_whatever_the_workers_and_holds_in_both(qdgrasp):
-    scene = ("--gripper", "panda", "--object", "tennis_ball", "--protocol", "physical")
-    asked = ("run", *scene, "--engine", "bullet,mujoco", "--evaluations", 60, "--set", "population=20")
-    qdgrasp.succeed(*asked, "--workers", 1, "--out", "one")
-    qdgrasp.succeed(*asked, "--workers", 2, "--out", "two")
-    assert qdgrasp.digest("one") == qdgrasp.digest("two")
-    assert qdgrasp.info("one")["engine"] == "bullet,mujoco"
-    folder = RunFolder.open(qdgrasp.home / "one")
-    with folder.journal() as journal:
-        assert {"mujoco", "mujoco_code", "pybullet", "code"} <= journal.platform.keys()
-        rows = np.concatenate(list(journal.blocks()))
-    rows, held = rows[rows["outcome"] >= Outcome.DROPPED], {}
-    for name in ("bullet", "mujoco"):
-        scene = msgspec.structs.replace(folder.scene(), engine=None if name == "bullet" else name)
-        with Evaluator(scene) as evaluator:
-            now = evaluator.evaluate(GIVEN, rows["base_to_object"], np.zeros(len(rows), np.uint16)).rows
-        held[name] = now["outcome"] == Outcome.HELD
-    np.testing.assert_array_equal(rows["outcome"] == Outcome.HELD, held["bullet"] & held["mujoco"])
-    assert (held["bullet"] & held["mujoco"]).sum() > 5
-    qdgrasp.succeed("verify", "one", "--sample", 20, "--workers", 1)
-    refused = qdgrasp("verify", "one", "--engine", "bullet,mujoco")
-    assert (refused.code, "names two; name one of them" in refused.err) == (2, True)
-    refused = qdgrasp("rerank", "one", "--engines", "bullet,bullet")
-    assert (refused.code, "got 'bullet,bullet'" in refused.err) == (2, True)
-
-
-def test_another_seed_gives_other_genomes(qdgrasp, reference):
-    qdgrasp.succeed("run", *SMALL, "--evaluations", 60, "--seed", 1, "--workers", 1, "--out", "run")
-    ours, others = (RunFolder.open(path).journal() for path in (qdgrasp.home / "run", reference[0]))
-    with ours, others:
-        assert not (ours.rows(0, 60)["genome"] == others.rows(0, 60)["genome"]).all(axis=1).any()
-
-
+@pytest.mark.slow
 def test_an_extended_run_is_the_longer_run(qdgrasp, reference):
     qdgrasp("run", *SMALL, "--evaluations", 100, "--workers", 1, "--out", "run")
     qdgrasp.succeed("resume", "run", "--evaluations", BUDGET, "--workers", 1)
     assert qdgrasp.digest("run") == reference[1]
-
-
-def test_resuming_a_finished_run_does_nothing_and_says_so(qdgrasp, reference):
-    assert "is finished" in qdgrasp.succeed("resume", reference[0]).out
-    assert qdgrasp.digest(reference[0]) == reference[1]
-
-
-@pytest.mark.parametrize("evaluations", [0, BUDGET - 1, 2**64])
-def test_a_budget_that_cannot_be_leaves_the_run_as_it_is(qdgrasp, reference, evaluations):
-    done = qdgrasp("resume", reference[0], "--evaluations", evaluations)
-    assert done.code == 2
-    assert "Traceback" not in done.err
-    assert qdgrasp.info(reference[0])["complete"]
-
-
-def test_redrawn_overlaps_are_rows_but_no_evaluations(qdgrasp):
-    options = (*SMALL, "--method", "approach_rand", "--set", "overlaps=redraw", "--evaluations", 50)
-    qdgrasp.succeed("run", *options, "--workers", 1, "--out", "run")
-    info = qdgrasp.info("run")
-    assert info["evaluations"] == 50
-    assert info["rows"] == info["proposals"] == 50 + info["overlaps"]
-    assert info["overlaps"] > 0
 
 
 def test_commands_that_print_json_print_nothing_else(qdgrasp, reference):
@@ -150,32 +94,6 @@ def test_commands_that_print_json_print_nothing_else(qdgrasp, reference):
     assert done.json["cells"] * 6 >= done.json["qd_score"] > 0
     assert sum(done.json["nu"]["bins"]) == done.json["successes"]
     assert done.err == ""
-
-
-def test_the_digest_command_prints_the_digest_and_nothing_else(qdgrasp, reference):
-    done = qdgrasp("digest", reference[0])
-    assert (done.code, done.out, done.err) == (0, f"{reference[1]}\n", "")
-    assert len(reference[1]) == 64
-
-
-def test_a_run_folder_is_named_after_what_it_holds(qdgrasp):
-    qdgrasp.succeed("run", *SMALL, "--evaluations", 1, "--seed", 3, "--workers", 1)
-    assert (Path(qdgrasp.home) / "runs" / "panda-tennis_ball-aimed-s3" / "run.sqlite").is_file()
-
-
-OPTIONS = (*SMALL, "--method", "antipodal_cma_mae")
-
-
-@pytest.mark.slow
-def test_a_run_that_is_extended_is_the_longer_run(qdgrasp):
-    for out, budget, workers in (("long", 150, 2), ("short", 70, 1)):
-        qdgrasp.succeed("run", *OPTIONS, "--evaluations", budget, "--workers", workers, "--out", out)
-    assert qdgrasp.digest("short") != qdgrasp.digest("long")
-    qdgrasp.succeed("resume", "short", "--evaluations", 150, "--workers", 1)
-    assert qdgrasp.digest("short") == qdgrasp.digest("long")
-    info = qdgrasp.info("long")
-    assert (info["method"], info["evaluations"], info["errors"]) == ("antipodal_cma_mae", 150, 0)
-    assert info["successes"] > 0
 
 
 CUBE = ("--gripper", "panda", "--object", "rubiks_cube", "--set", "population=12", "--evaluations", 24)
@@ -234,42 +152,6 @@ def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp,
     assert (info["method"], info["evaluations"], info["trials"]) == ("given", 3, 300)
 
 
-@pytest.mark.slow
-def test_sequential_trials_are_fewer_and_the_same_whatever_is_killed(qdgrasp):
-    """The best of a cell may have more trials, which its search and its rankings hear of."""
-    asked = ("run", *CUBE[:-1], 48, "--protocol", "robust", "--set", "trials=sequential")
-    qdgrasp.succeed(*asked, "--workers", 1, "--out", "whole")
-    info, folder = qdgrasp.info("whole"), qdgrasp.home / "run"
-    assert info["eta"]["successes"] == info["successes"]
-    assert 10 * info["successes"] <= info["trials"] < 100 * info["successes"]
-    assert info["eta"]["trials"] == pytest.approx(info["trials"] / info["successes"])
-    process = qdgrasp.start(*asked, "--workers", 2, "--out", "run")
-    wait_for(lambda: rows_recorded(folder) > 60, "trials")
-    process.kill()
-    process.wait()
-    qdgrasp.succeed("resume", "run", "--workers", 1)
-    assert qdgrasp.digest("run") == qdgrasp.digest("whole")
-
-
-@pytest.mark.slow
-def test_a_reranking_that_is_killed_goes_on_elsewhere_as_a_run_and_is_ranked(qdgrasp, reference):
-    folder = qdgrasp.home / "again"
-    process = qdgrasp.start("rerank", reference[0], "--top", 4, "--workers", 2, "--out", "again")
-    wait_for(lambda: rows_recorded(folder) > 50, "trials")
-    process.kill()
-    process.wait()
-    assert not (folder / "ranking.csv").exists()
-    moved = folder.rename(qdgrasp.home / "moved")
-    done = qdgrasp.succeed("resume", moved)
-    order = [(int(line["trials"]), float(line["eta"])) for line in ranking(moved)]
-    assert 4 < len(order) <= 16
-    assert f"{len(order)} grasps ranked" in done.out
-    assert order == sorted(order, reverse=True)
-    assert sum(trials == 100 for trials, _ in order) >= 4
-    qdgrasp.succeed("run", moved / "spec.toml", "--out", "repeated")
-    assert qdgrasp.digest("repeated") == qdgrasp.digest(moved)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -291,32 +173,3 @@ def test_what_cannot_be_scored_again_is_refused_in_a_sentence(qdgrasp, reference
     assert words in done.err
     assert "Traceback" not in done.err
     assert not (qdgrasp.home / "runs").exists()
-
-
-@pytest.mark.slow
-def test_the_best_grasp_is_scored_again_on_a_table_where_it_comes_from_above(qdgrasp, reference):
-    run = RunFolder.open(reference[0])
-    source = best_of_kinds(read_run_grasps(run), 1, run.scene().object)[0]
-    approach = Rotation.from_quat(source["base_to_object"][3:]).apply([0, 0, 1])
-    from_above, _ = Rotation.align_vectors([[0, 0, -1]], [approach])
-    pose = ",".join(f"{number:.6f}" for number in from_above.as_quat())
-    options = ("--top", 1, "--trials", "all", "--discard-table", "--object-pose", pose, "--out", "again")
-    qdgrasp.succeed("rerank", reference[0], *options)
-    (line,) = ranking(qdgrasp.home / "again")
-    assert (line["source_generation"], line["source_index"]) == (
-        str(source["generation"]),
-        str(source["index"]),
-    )
-
-
-GROWING = ("--set", "population=3", "--set", "generations_in_flight=1", "--set", "in_flight=18")
-
-
-@pytest.mark.slow
-def test_a_run_with_a_growing_number_in_flight_is_the_same_whatever_the_workers_and_goes_on(qdgrasp):
-    asked = ("run", *SMALL, *GROWING)
-    qdgrasp.succeed(*asked, "--evaluations", 90, "--workers", 1, "--out", "one")
-    qdgrasp.succeed(*asked, "--evaluations", 60, "--workers", 3, "--out", "three")
-    assert qdgrasp.digest("three") != qdgrasp.digest("one")
-    qdgrasp.succeed("resume", "three", "--evaluations", 90, "--workers", 2)
-    assert qdgrasp.digest("three") == qdgrasp.digest("one")

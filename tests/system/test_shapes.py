@@ -1,12 +1,10 @@
 """Workers build the shapes of a campaign's meshes, each once, also after kills."""
 
-import signal
 from pathlib import Path
 
 import pytest
 import trimesh
-from tests.common import wait_for
-from tests.system.commands import Commands, digest_of, end_of, is_alive, kill, processes_of
+from tests.system.commands import Commands, digest_of
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 
@@ -35,44 +33,14 @@ def digests(qdgrasp: Commands, folder: str) -> dict[str, str]:
     return {path.name: digest_of(path) for path in JobFolder.open(qdgrasp.home / folder).run_paths}
 
 
+@pytest.mark.slow
 def test_each_shape_is_built_once_and_runs_are_those_of_scenes_that_are_built_here(qdgrasp, parts) -> None:
     qdgrasp.succeed(*CAMPAIGN, "--workers", 2, "--out", "out")
     built = shapes(qdgrasp)
     assert len(built) == len(list(parts.iterdir()))
     assert "Decomposing" not in (qdgrasp.home / "out" / "logs" / "coordinator.log").read_text()
-    qdgrasp.succeed(*CAMPAIGN, "--workers", 1, "--out", "again")
-    assert shapes(qdgrasp) == built
-    assert digests(qdgrasp, "again") == digests(qdgrasp, "out")
-    alone = (
-        "run",
-        "--object",
-        parts / "ring.stl",
-        *ASKED,
-        "--set",
-        "in_flight=400",
-        "--set",
-        "generations_in_flight=1",
-    )
+    alone = ("run", "--object", parts / "ring.stl", *ASKED)
+    alone += ("--set", "in_flight=400", "--set", "generations_in_flight=1")
     qdgrasp.succeed(*alone, "--workers", 1, "--out", "alone")
     (name,) = [name for name in digests(qdgrasp, "out") if "ring" in name and "-s0" in name]
     assert digest_of(qdgrasp.home / "alone") == digests(qdgrasp, "out")[name]
-
-
-def test_a_campaign_that_is_killed_while_shapes_are_built_goes_on_and_builds_none_twice(qdgrasp, parts):
-    process = qdgrasp.start(*CAMPAIGN, "--workers", 1, "--out", "out")
-    wait_for(lambda: shapes(qdgrasp) or process.poll() is not None, "a shape")
-    started = list(processes_of(process.pid).values())
-    kill(process.pid)
-    for pid in started:
-        kill(pid)
-    end_of(process, -signal.SIGKILL)
-    wait_for(lambda: not any(map(is_alive, started)), "the end of its processes")
-    before = shapes(qdgrasp)
-    qdgrasp.succeed(*CAMPAIGN, "--workers", 2, "--out", "out")
-    after = shapes(qdgrasp)
-    assert before.items() <= after.items()
-    assert len(after) == len(list(parts.iterdir()))
-    qdgrasp.succeed(
-        *CAMPAIGN, "--workers", 2, "--out", "undisturbed", QDGRASP_CACHE=str(qdgrasp.home / "other")
-    )
-    assert digests(qdgrasp, "out") == digests(qdgrasp, "undisturbed")

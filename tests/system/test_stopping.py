@@ -4,7 +4,6 @@ import os
 import re
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Callable
 from http.client import HTTPConnection
@@ -31,17 +30,12 @@ from tests.system.commands import (
     stop,
 )
 
-from qdgrasp_protocol.bus import Query
-from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.security.folder import SecurityFolder
-
 PROMISED = 2.0
 """Seconds that a command may take to stop, on a machine that is not busy with something else."""
 COMPUTING = 0.5
 """Of these it computes at most so long, which takes longer where others compute too; the rest it waits."""
 SPIN = 0.1
 """CPU seconds by which it is found out how busy this machine is."""
-SIGNALS = [signal.SIGINT, signal.SIGTERM]
 LONG = (*SMALL, "--evaluations", 100_000)
 Beginning = Callable[[Commands], subprocess.Popen[str]]
 
@@ -69,13 +63,6 @@ def ring(home: Path) -> None:
     trimesh.creation.torus(0.03, 0.012, 60, 40).export(home / "ring.stl")
 
 
-def building(qdgrasp: Commands) -> subprocess.Popen[str]:
-    ring(qdgrasp.home)
-    process = qdgrasp.start("run", "--gripper", "panda", "--object", "ring.stl", "--mass", 1, "--out", "run")
-    says(process, "building the scene")
-    return process
-
-
 def campaigning(qdgrasp: Commands) -> subprocess.Popen[str]:
     ring(qdgrasp.home)
     file = qdgrasp.home / "many.toml"
@@ -94,14 +81,6 @@ def seeking(*command: str, module: str = "qdgrasp") -> Beginning:
         return process
 
     return begin
-
-
-def checking(qdgrasp: Commands) -> subprocess.Popen[str]:
-    """A check of an access list whose router is not there."""
-    folder = SecurityFolder.create(qdgrasp.home / "security", hosts=["localhost"], days=1).path
-    process = qdgrasp.start("security", "check", "--security", folder, "--connect", own_endpoint("tls"))
-    wait_for(lambda: _is_loaded(process.pid), "its threads")
-    return process
 
 
 def with_a_hanging_simulator(qdgrasp: Commands) -> subprocess.Popen[str]:
@@ -146,12 +125,6 @@ def routing(qdgrasp: Commands) -> subprocess.Popen[str]:
     return process
 
 
-def benching(qdgrasp: Commands) -> subprocess.Popen[str]:
-    process = qdgrasp.start("bench", "--workers", 1, "--seconds", 3600)
-    wait_for(lambda: bool(processes_of(process.pid)), "a worker")
-    return process
-
-
 def looking(*command: object) -> Beginning:
     """A command that evaluates recorded rows again."""
 
@@ -171,56 +144,27 @@ def _is_loaded(pid: int) -> bool:
 BEGINNINGS: dict[str, Beginning] = {
     "a run": working,
     "a run whose router is away": frozen("coordinator"),
-    "a run whose recorder hangs": frozen("recorder"),
     "a run whose workers hang": frozen("worker"),
-    "a scene that is built": building,
     "a campaign's scene that is built": campaigning,
     "jobs without a router": seeking("jobs"),
     "a monitor without a router": seeking("--wait", "60", module=MONITOR),
-    "one look without a router": seeking("--once", "--wait", "60", module=MONITOR),
     "an order without a router": seeking("pause", "mugs"),
-    "a check without a router": checking,
     "a router with a client": routing,
     "a router without the other one": seeking("--listen", own_endpoint(), module=ROUTER),
     "a recorder without a router": seeking("--job", "mugs", "--out", "out", module=RECORDER),
     "a worker without a router": seeking(module=WORKER),
     "a coordinator without a router": coordinating,
     "a worker whose simulator hangs": with_a_hanging_simulator,
-    "a measurement of this node": benching,
     "an evaluation that is filmed": looking("render", "run", "--grasp", 0, "-o", "a.gif"),
     "rows that are verified": looking("verify", "run", "--all"),
     "a page of a finished run": viewing,
 }
-QUICK = {"a page of a finished run": signal.SIGINT, "rows that are verified": signal.SIGTERM}
-MORE = {
-    "a run whose router is away": signal.SIGINT,
-    "a campaign's scene that is built": signal.SIGTERM,
-    "an evaluation that is filmed": signal.SIGINT,
-}
-STOPPED = [*QUICK.items(), *(pytest.param(*one, marks=pytest.mark.slow) for one in MORE.items())]
+QUICK = {"a page of a finished run": signal.SIGINT, "jobs without a router": signal.SIGTERM}
 
 
-@pytest.mark.parametrize(("name", "number"), STOPPED, ids=[*QUICK, *MORE])
+@pytest.mark.parametrize(("name", "number"), QUICK.items(), ids=QUICK)
 def test_a_command_stops_with_all_its_processes(qdgrasp: Commands, name: str, number: int) -> None:
     stop(BEGINNINGS[name](qdgrasp), number)
-
-
-@pytest.mark.parametrize(
-    ("command", "number"), [(("jobs",), signal.SIGINT), (("pause", "mugs"), signal.SIGTERM)]
-)
-def test_a_question_stops_while_the_coordinator_stands_still(qdgrasp, command, number) -> None:
-    asked, rest, endpoint = threading.Event(), threading.Event(), own_endpoint()
-
-    def stand_still(_query: Query) -> bytes:
-        asked.set()
-        rest.wait(PATIENCE)
-        return b""
-
-    with ZenohBus.router(endpoint) as bus, bus.answer("qdgrasp/v1/mugs/**", stand_still):
-        process = qdgrasp.start(*command, "--connect", endpoint)
-        assert asked.wait(PATIENCE)
-        stop(process, number)
-        rest.set()
 
 
 def scarcity() -> float:
@@ -232,9 +176,8 @@ def scarcity() -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize("name", BEGINNINGS)
-def test_a_command_stops_within_two_seconds(qdgrasp: Commands, name: str, number: int) -> None:
+def test_a_command_stops_within_two_seconds(qdgrasp: Commands, name: str) -> None:
     before = scarcity()
-    _, _, took = stop(BEGINNINGS[name](qdgrasp), number)
+    _, _, took = stop(BEGINNINGS[name](qdgrasp), signal.SIGINT)
     assert took < PROMISED + COMPUTING * (max(before, scarcity()) - 1)

@@ -1,13 +1,12 @@
 """Processes of two versions of the protocol beside each other, and a job that goes on in the next one."""
 
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from tests.chaos.processes import JOB, JobProcesses, Process
 from tests.common import wait_for
-from tests.system.commands import BUDGET, COORDINATOR, RECORDER, WORKER, digest_of
+from tests.system.commands import BUDGET, COORDINATOR, RECORDER, WORKER
 
 from qdgrasp_coordinator.scheduler.run_plan import RUN_DEFAULTS, full_spec
 from qdgrasp_protocol.messages import VERSION
@@ -55,29 +54,6 @@ def ends(process: Process) -> str:
     return process.words
 
 
-def test_a_worker_of_this_version_is_refused_by_a_coordinator_of_the_next_one(job: TwoVersions) -> None:
-    *_, worker = job.begin("next-recorder", "next-coordinator", "worker-0")
-    assert f"it speaks versions [{VERSION}] of the protocol, this job speaks {NEXT}" in ends(worker)
-
-
 def test_a_worker_of_the_next_version_is_refused_by_a_coordinator_of_this_one(job: TwoVersions) -> None:
     *_, worker = job.begin("recorder", "coordinator", "next-worker-0")
     assert f"it speaks versions [{NEXT}] of the protocol, this job speaks {VERSION}" in ends(worker)
-
-
-def test_a_coordinator_of_the_next_version_is_refused_by_a_recorder_of_this_one(job: TwoVersions) -> None:
-    _, coordinator = job.begin("recorder", "next-coordinator")
-    words = ends(coordinator)
-    assert f"it is of version {NEXT} of the protocol, and this package speaks {VERSION}: update it" in words
-
-
-def test_a_job_that_is_upgraded_in_the_middle_ends_with_the_same_digest(job, long_digest) -> None:
-    first = job.begin("recorder", "coordinator", "worker-0")
-    wait_for(lambda: job.rows >= 20, "the first rows")
-    assert job["coordinator"].is_there
-    for process in first:
-        process.send(signal.SIGKILL)
-    _, coordinator, _ = job.begin("next-recorder", "next-coordinator", "next-worker-0")
-    wait_for(lambda: coordinator.exit_code is not None, "the end")
-    assert coordinator.exit_code == 0, coordinator.words
-    assert digest_of(job.run) == long_digest

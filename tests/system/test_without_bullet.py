@@ -1,12 +1,13 @@
 """Without PyBullet: runs in MuJoCo to their end, and refusals of all that needs Bullet."""
 
 import os
-import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.scenes import made_scene
 from tests.system.commands import Commands, end_of
 from typer.testing import CliRunner
 
@@ -15,7 +16,6 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.engines import MissingEngine, check_engine
 from qdgrasp_tools.cli.main import app
 
-RECORDED = Path(__file__).parents[1] / "golden" / "recorded_0_1_0"
 SCENE = ("--gripper", "panda", "--object", "tennis_ball")
 IN_MUJOCO = ("--protocol", "physical", "--engine", "mujoco")
 CAMPAIGN = """
@@ -31,11 +31,10 @@ engine = ["mujoco", "bullet"]
 
 @pytest.fixture
 def without_bullet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    """A folder with two runs in Bullet, poses and a campaign; PyBullet cannot be imported."""
+    """A folder with a run in Bullet, poses and a campaign; PyBullet cannot be imported."""
     monkeypatch.setitem(sys.modules, "pybullet", None)
     monkeypatch.chdir(tmp_path)
-    for name in ("finished", "begun"):
-        shutil.copytree(RECORDED / name, tmp_path / name)
+    record(tmp_path / "finished", made_scene(), random_rows(60), evaluations=60)
     np.savez("poses.npz", base_position=np.zeros((1, 3)), base_quaternion_xyzw=np.eye(4)[3:])
     Path("both.toml").write_text(CAMPAIGN)
     return tmp_path
@@ -50,12 +49,9 @@ def files_in(folder: Path) -> list[Path]:
     "words",
     [
         ("run", *SCENE, "--evaluations", "20", "--out", "made"),
-        ("resume", "begun"),
-        ("rerank", "finished", "--out", "made"),
         ("evaluate", *SCENE, "--poses", "poses.npz", "--out", "made/scores.npz"),
         ("verify", "finished"),
         ("campaign", "both.toml", "--out", "made"),
-        ("bench", "--seconds", "0.1"),
     ],
     ids=lambda words: words[0],
 )

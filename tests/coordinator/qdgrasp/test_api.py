@@ -3,7 +3,6 @@
 import ast
 import subprocess
 import sys
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from tests.worker.runtime import evaluators
 
 import qdgrasp
 from qdgrasp.evaluator_worker import evaluator_name
-from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError
 from qdgrasp_protocol.rows import RowShape
 
 SOURCE = ast.parse(Path(qdgrasp.__file__).read_text())
@@ -51,23 +50,6 @@ def test_what_a_type_checker_sees_is_what_there_is() -> None:
     }
     assert seen == qdgrasp.HOMES
     assert set(qdgrasp.__all__) == {*seen, "__version__"}
-
-
-@pytest.mark.parametrize("name", sorted(qdgrasp.HOMES))
-def test_every_name_is_there_with_a_word_about_it(name: str) -> None:
-    found = getattr(qdgrasp, name)
-    assert found is getattr(qdgrasp, name)
-    if callable(found) and getattr(found, "__module__", "").startswith("qdgrasp"):
-        assert found.__doc__
-
-
-def test_the_version_is_the_packages() -> None:
-    assert qdgrasp.__version__ == version("qdgrasp")
-
-
-def test_a_name_that_is_not_there_is_answered_with_those_that_are() -> None:
-    with pytest.raises(AttributeError, match=r"has no attribute 'grasp'; it has CampaignRuns, .*optimise"):
-        qdgrasp.grasp  # type: ignore[attr-defined]  # noqa: B018
 
 
 def test_an_evaluator_in_a_package_goes_by_the_name_of_its_module() -> None:
@@ -153,23 +135,6 @@ def test_what_cannot_be_asked_for_is_refused(run: qdgrasp.Run, asked: dict[str, 
         run.grasps(**asked)
 
 
-def test_a_frame_that_is_none_is_refused(run: qdgrasp.Run) -> None:
-    with pytest.raises(UnknownName, match=r"Unknown frame 'world'\. Known: com, mesh\."):
-        run.grasps().poses("world")  # type: ignore[arg-type]
-
-
-def test_blocks_are_the_rows_piece_by_piece(run: qdgrasp.Run) -> None:
-    assert np.concatenate(list(run.blocks())).tobytes() == run.rows().tobytes()
-
-
-def test_a_run_is_shown_as_it_was_opened(run: qdgrasp.Run) -> None:
-    assert repr(run) == f"qdgrasp.open('{run.path}')"
-
-
-def test_grasps_are_shown_in_a_few_words(run: qdgrasp.Run) -> None:
-    assert repr(run.grasps(top=7)) == "<7 grasps of jaw on block>"
-
-
 def test_a_run_that_has_nothing_yet_has_no_rows(tmp_path: Path) -> None:
     empty = record(tmp_path / "empty", made_scene(), GIVEN.empty(0), method="given", evaluations=1)
     assert len(qdgrasp.open(empty.path).rows()) == 0
@@ -179,12 +144,6 @@ def test_a_run_that_has_nothing_yet_has_no_rows(tmp_path: Path) -> None:
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FolderError, match="holds no run"):
         qdgrasp.open(tmp_path)
-
-
-@pytest.mark.parametrize("path", [3, None])
-def test_what_is_no_path_is_refused(path: Any) -> None:
-    with pytest.raises(ImpossibleValue, match="path must be a path"):
-        qdgrasp.open(path)
 
 
 def test_an_archive_of_pyribs_has_the_best_success_of_each_cell(tmp_path: Path) -> None:

@@ -6,15 +6,15 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.scenes import jaw, made_scene
+from tests.coordinator.scenes import jaw
 from tests.tools.monitor.sample_jobs import figures
 
 import qdgrasp
-from qdgrasp.arguments import POSE_COLUMNS, check_genomes, layout_of, spec_from_arguments
+from qdgrasp.arguments import POSE_COLUMNS, check_genomes, spec_from_arguments
 from qdgrasp.backend import ROUTER_SECONDS, SilentProgress
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_coordinator.search.fixed_poses import check_given
-from qdgrasp_protocol.errors import EndpointError, ImpossibleValue, InputError, SecurityError, UnknownName
+from qdgrasp_protocol.errors import EndpointError, ImpossibleValue, InputError, SecurityError
 from qdgrasp_protocol.rows import Gene, Layout
 from qdgrasp_protocol.session import Role
 from qdgrasp_tools.security.folder import SecurityFolder
@@ -49,15 +49,6 @@ def test_genomes_of_another_shape_or_outside_their_intervals_are_refused(given, 
         check_genomes(given, layout)
 
 
-def test_what_is_no_array_of_numbers_is_no_genome() -> None:
-    with pytest.raises(InputError, match="nu, d"):
-        check_genomes([["a", "b"]], TWO)  # type: ignore[list-item]
-
-
-def test_poses_may_lie_anywhere() -> None:
-    assert check_genomes([[0.0, 2.5]], POSE).tolist() == [[0.0, 2.5]]
-
-
 @pytest.mark.parametrize(
     ("pose", "wanted"),
     [
@@ -73,15 +64,6 @@ def test_what_no_hand_can_take_is_no_pose(pose: list[float], wanted: str) -> Non
     hand = msgspec.structs.replace(jaw("jaw"), synergies=synergies if len(pose) > 7 else ())
     with pytest.raises(InputError, match=wanted):
         check_given(POSE_COLUMNS, np.array([pose], np.float32), hand)
-
-
-def test_no_genomes_are_genomes() -> None:
-    assert check_genomes(np.zeros((0, 2)), TWO).shape == (0, 2)
-
-
-def test_a_prior_that_is_unknown_is_answered_with_those_that_are() -> None:
-    with pytest.raises(UnknownName, match="Did you mean 'approach'"):
-        layout_of(made_scene(), "aproach")
 
 
 ABOVE, DOWN = [[0.0, 0.0, 0.15]], [[1.0, 0.0, 0.0, 0.0]]
@@ -113,13 +95,6 @@ def test_numbers_of_numpy_are_numbers() -> None:
     assert (spec.mass, spec.seed, qdgrasp.Place(workers=np.int64(2)).hands) == (0.1, 3, 2)
 
 
-def test_keywords_that_are_known_are_those_of_the_scenery() -> None:
-    with pytest.raises(InputError) as refused:
-        qdgrasp.Evaluations(gripper="panda", object="mug", colour=3)  # type: ignore[call-arg]
-    assert "evaluations" not in str(refused.value)
-    assert "surface_seed" in str(refused.value)
-
-
 @pytest.mark.parametrize(
     ("posture", "why"),
     [
@@ -131,41 +106,6 @@ def test_a_synergy_or_free_joint_of_a_hand_that_has_none_is_refused(posture, why
     place = qdgrasp.Place(workers=0)
     with pytest.raises(InputError, match=why):
         qdgrasp.evaluate(ABOVE, DOWN, **posture, place=place, gripper="panda", object="tennis_ball")
-
-
-def test_time_that_is_over_is_said_in_words() -> None:
-    place = qdgrasp.Place(workers=0)
-    with (
-        qdgrasp.Evaluations(prior="given", place=place, gripper="panda", object="tennis_ball") as evaluations,
-        pytest.raises(TimeoutError, match="After 0 s there are not all rows of 1 genome"),
-    ):
-        evaluations.evaluate([[*ABOVE[0], *DOWN[0]]], timeout=0.0)
-
-
-class Narrow:
-    """Asks for genomes that have too few genes."""
-
-    def __init__(self, layout: qdgrasp.Layout) -> None:
-        pass
-
-    def ask(self, generation: int) -> Any:
-        return [[0.0]]
-
-    def tell(self, generation: int, rows: qdgrasp.Rows) -> None:
-        pass
-
-
-def test_after_a_search_that_asked_wrongly_it_is_said_how_to_go_on(tmp_path: Path) -> None:
-    def attempt() -> str:
-        place = qdgrasp.Place(workers=1)
-        with pytest.raises(InputError) as refused:
-            qdgrasp.optimise(
-                Narrow, tmp_path / "out", evaluations=10, place=place, gripper="panda", object="tennis_ball"
-            )
-        return str(refused.value)
-
-    assert "genomes must be" in attempt()
-    assert "resume=True goes on with it" in attempt()
 
 
 LOCAL = ["127.0.0.1"]
@@ -199,14 +139,6 @@ def test_what_is_no_place_is_refused(said: dict[str, Any], why: str) -> None:
         qdgrasp.Place(**said)
 
 
-def test_what_is_no_place_at_all_is_refused(tmp_path: Path) -> None:
-    words: dict[str, Any] = {"gripper": "panda", "object": "tennis_ball", "place": "here"}
-    with pytest.raises(qdgrasp.InputError, match=r"place must be a qdgrasp\.Place"):
-        qdgrasp.Evaluations(**words)
-    with pytest.raises(qdgrasp.InputError, match=r"place must be a qdgrasp\.Place"):
-        qdgrasp.optimise(print, tmp_path / "run", evaluations=9, **words)  # type: ignore[arg-type]  # not looked at
-
-
 def test_that_nobody_comes_is_said_once_and_not_at_first() -> None:
     quiet = SilentProgress()
     said: list[str] = []
@@ -215,11 +147,6 @@ def test_that_nobody_comes_is_said_once_and_not_at_first() -> None:
     for times, workers in ((2, 2), (3, 0), (4, 0)):
         quiet.show(figures(seconds=times * ROUTER_SECONDS, workers=workers, rate=0.0))
     assert said == ["job 'mugs' waits: no worker has come to it yet"]
-
-
-def test_certificates_without_a_router_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(qdgrasp.InputError, match="name it with connect="):
-        qdgrasp.Place(security=tmp_path)
 
 
 def test_an_encrypted_router_needs_the_certificates_of_a_coordinator(tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 """Runs, campaigns, grasps and hands as notebooks show them, as scenes, and as tables of pandas."""
 
 import io
-import re
-import sys
 from base64 import b64decode
 from collections.abc import Callable
 from html.parser import HTMLParser
@@ -13,18 +11,16 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from PIL import Image
-from tests.coordinator.qdgrasp.test_api import loaded_by
 from tests.coordinator.recorded_campaigns import record_campaign
-from tests.coordinator.recorded_runs import record, record_spec
+from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import made_scene
 from tests.tools.export.conftest import random_rows
 
 import qdgrasp
 from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
-from qdgrasp_protocol.rows import Outcome, RowShape
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.rows import Outcome
 
 COM = (0.01, -0.02, 0.03)
 OUTCOMES = [Outcome.MISSED, Outcome.DROPPED, *[Outcome.HELD] * 8]
@@ -79,30 +75,6 @@ def test_a_run_is_shown_with_its_figures(run: qdgrasp.Run) -> None:
     assert len(picture.getcolors(1 << 16) or []) > 20
     for words in ("mug: jaw on block", "contact_rand, seed 0", "9 (90% of evaluations)", "8, 8 robust"):
         assert words in card.words
-
-
-def test_a_run_that_found_nothing_or_has_no_scene_yet_is_shown(tmp_path: Path, scene: Scene) -> None:
-    empty = record(tmp_path / "empty", scene, random_rows(scene, []), method="contact_rand")
-    assert len(shown(qdgrasp.open(empty.path)).pictures) == 1
-    spec = RunSpec(gripper="jaw", object="block.stl", mass=0.1, method="contact_rand")
-    begun = record_spec(tmp_path / "begun", spec, RowShape(7, 2).empty(0))
-    card = shown(qdgrasp.open(begun.path))
-    assert not card.pictures
-    assert "its scene is not built yet" in card.words
-
-
-def test_a_grasp_is_shown_with_its_figures(run: qdgrasp.Run) -> None:
-    card = shown(run.grasps()[0])
-    assert len(card.pictures) == 1
-    for words in ("Grasp 2 of jaw on block", "held", "2 of 2", "penetration", "settled at"):
-        assert words in card.words
-
-
-def test_of_several_grasps_the_first_few_are_shown_and_all_counted(run: qdgrasp.Run) -> None:
-    card = shown(run.grasps(min_fitness=0))
-    assert "held 8" in re.sub(r"\s+", " ", card.words)
-    assert "dropped 1" in re.sub(r"\s+", " ", card.words)
-    assert not shown(run.grasps()[:0]).pictures
 
 
 def test_a_hand_is_shown_open_and_closed(run: qdgrasp.Run) -> None:
@@ -165,20 +137,6 @@ def test_a_scene_has_the_object_and_the_hand_at_the_grasp(run: qdgrasp.Run) -> N
         grasp.scene("world")
 
 
-def test_an_open_scene_has_the_commanded_pose_and_the_joints_before_closing(run: qdgrasp.Run) -> None:
-    grasp = run.grasps()[1]
-    opened, closed = (grasp.scene(closed=is_closed) for is_closed in (False, True))
-    np.testing.assert_allclose(opened.graph.get("hand")[0][:3, 3], grasp.position, atol=1e-9)
-
-    def width(scene: Any) -> float:
-        matrices = (scene.graph.get(f"hand/{side}_finger", "hand")[0] for side in ("left", "right"))
-        left, right = (matrix[:3, 3] for matrix in matrices)
-        return float(np.linalg.norm(left - right))
-
-    assert width(opened) == pytest.approx(0.08)
-    assert width(closed) == pytest.approx(float(grasp.joints.sum()), abs=1e-6)
-
-
 def test_a_hand_is_a_scene_with_any_joints() -> None:
     hand = qdgrasp.Hand("panda")
     assert (hand.name, len(hand.joint_names)) == ("panda", 2)
@@ -198,11 +156,6 @@ def test_what_is_no_gripper_is_refused(gripper: Any) -> None:
         qdgrasp.Hand(gripper)
 
 
-def test_an_unknown_gripper_is_refused() -> None:
-    with pytest.raises((InputError, AssetError), match="no_hand"):
-        qdgrasp.Hand("no_hand")
-
-
 def test_grasps_are_a_table_of_pandas(run: qdgrasp.Run) -> None:
     pytest.importorskip("pandas", reason="needs pandas")
     grasps = run.grasps()
@@ -220,16 +173,3 @@ def test_the_runs_of_a_campaign_are_a_table_of_pandas(tmp_path: Path) -> None:
     table = opened.to_pandas()
     assert table.index.tolist() == list(opened.names)
     assert table["grasps"].tolist() == [run.summary.grasps for run in opened]
-
-
-def test_without_pandas_one_sentence_says_how_to_get_it(run, monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match=r"^to_pandas\(\) needs pandas, .*`pip install pandas` brings it\.$"):
-        run.grasps().to_pandas()
-
-
-def test_reading_grasps_loads_neither_pandas_nor_what_draws(run: qdgrasp.Run) -> None:
-    loaded = loaded_by(
-        f"import sys, qdgrasp; list(qdgrasp.open({str(run.path)!r}).grasps()); print(*sys.modules)"
-    )
-    assert not {"pandas", "matplotlib", "trimesh"} & {*loaded}

@@ -4,10 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.common import own_endpoint
 
 import qdgrasp
-from qdgrasp import backend
 from qdgrasp.optimisation import SearchFactory
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
@@ -36,7 +34,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no prior": ({"prior": ["contact"]}, "Unknown prior"),
     "no budget": (
         {"evaluations": 0},
-        "evaluations must be a whole number at least 1 and at most 1000000000, got 0",
+        "evaluations must be a whole number at least 1, got 0",
     ),
     "no gripper": ({"gripper": None}, "'gripper' is missing; say gripper=... with a name or a file"),
     "nobody": ({"place": qdgrasp.Place(workers=0)}, "has no workers: start some, or name a router"),
@@ -55,14 +53,6 @@ def test_what_cannot_be_searched_with_is_refused_and_leaves_no_folder(changed, w
 def test_what_a_program_raises_itself_goes_through_and_leaves_no_folder(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError):
         qdgrasp.optimise(lambda genes: 1 / 0, tmp_path / "run", evaluations=10, **SCENE)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_router_that_does_not_answer_leaves_no_folder(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(backend, "ROUTER_SECONDS", 0.0)
-    place = qdgrasp.Place(connect=own_endpoint())
-    with pytest.raises(qdgrasp.InputError, match="Nothing answers at"):
-        qdgrasp.optimise(Uniform, tmp_path / "run", evaluations=10, place=place, **SCENE)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -5,7 +5,7 @@ import trimesh
 from tests.assets.file_server import fails, served
 from typer.testing import CliRunner
 
-from qdgrasp_assets.ycb import SCANS, fetched_mesh
+from qdgrasp_assets.ycb import SCANS
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_tools.cli.asset_commands import asset_app
 
@@ -29,18 +29,6 @@ def test_list_names_everything_with_source_and_licence(asset):
     assert all(name in said for name in names)
 
 
-def test_list_tells_what_was_fetched_and_what_lies_on_the_asset_path(asset, monkeypatch, tmp_path):
-    fetched_mesh("ycb_mug").parent.mkdir(parents=True)
-    fetched_mesh("ycb_mug").write_bytes(b"")
-    (tmp_path / "objects/bowl").mkdir(parents=True)
-    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(tmp_path))
-    listed = {
-        entry["name"]: entry["source"] for entry in json.loads(asset("list", "--json").stdout)["objects"]
-    }
-    sources = [listed[name] for name in ("ycb_mug", "ycb_bowl", "ycb_banana")]
-    assert sources == ["fetched", "asset path", "absent"]
-
-
 def test_fetch_states_the_licence_and_asks_the_address_it_is_given(asset, monkeypatch):
     with served() as site:
         site.behaviours = [fails(404), fails(404)]
@@ -51,16 +39,6 @@ def test_fetch_states_the_licence_and_asks_the_address_it_is_given(asset, monkey
         asset("fetch", "ycb_bowl")
         archive = SCANS["ycb_bowl"].archive
         assert site.asked == [f"/{archive}", f"/mirror/{archive}"]
-
-
-def test_fetch_without_names_fetches_what_is_absent(asset):
-    for name in set(SCANS) - {"ycb_spatula"}:
-        fetched_mesh(name).parent.mkdir(parents=True)
-        fetched_mesh(name).write_bytes(b"")
-    with served() as site:
-        site.behaviours = [fails(404)]
-        asset("fetch", "--from", site.address)
-        assert site.asked == [f"/{SCANS['ycb_spatula'].archive}"]
 
 
 def test_fetch_goes_on_after_a_scan_that_is_not_what_it_must_be(asset):
@@ -89,17 +67,3 @@ def test_check_draws_what_can_be_used(asset, tmp_path):
     drawn = {path.name: path.read_bytes()[:4] for path in (tmp_path / "pictures").iterdir()}
     assert drawn == {"bowl.png": b"\x89PNG", "robotiq_2f.png": b"\x89PNG"}
     assert all(name in done.stdout for name in drawn)
-
-
-def test_check_draws_no_two_in_one_file(asset, tmp_path):
-    done = asset("check", "part.stl", "bowl", "part.obj", "--pictures", str(tmp_path / "pictures"))
-    assert str(done.exception).startswith("'part.stl' and 'part.obj' would both be drawn to '")
-    assert "name them in two commands" in str(done.exception)
-    assert not (tmp_path / "pictures").exists()
-
-
-def test_check_without_names_checks_what_is_here(asset):
-    done = asset("check")
-    assert done.exit_code == 0
-    assert "ok    power_drill: " in done.stdout
-    assert "ycb_" not in done.stdout

@@ -62,11 +62,6 @@ def test_a_target_of_grasps_and_a_cap_are_those_of_every_run(asked: Asked, what:
     assert (spec.evaluations, spec.grasps, spec.saturation) == ends
 
 
-def test_meshes_are_grasped_under_the_protocol_and_in_the_engine_that_are_said(asked: Asked) -> None:
-    (spec,) = asked(f"{MESHES} --protocol physical --engine mujoco").runs.values()
-    assert (spec.protocol, spec.engine) == ("physical", "mujoco")
-
-
 def test_a_campaign_of_meshes_goes_on_from_its_folder_with_a_larger_target(asked, tmp_path) -> None:
     begun = asked(f"{MESHES} --grasps 300 --evaluations 4000")
     (tmp_path / "again.toml").write_text(begun.toml)

@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
@@ -15,7 +14,6 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from qdgrasp import entry
 from qdgrasp_protocol.spec import key_texts
 from qdgrasp_tools.cli import coordinator_process, main
 
@@ -38,22 +36,6 @@ def test_a_coordinator_at_routers_that_run_has_no_flags_of_its_own_router(flags:
 
 
 SCRIPTS = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]["scripts"]
-
-
-@pytest.mark.parametrize("script", SCRIPTS.values(), ids=SCRIPTS)
-def test_every_command_begins_before_anything_is_loaded(script: str) -> None:
-    module, _, name = script.partition(":")
-    assert module == "qdgrasp.entry"
-    assert callable(getattr(entry, name))
-
-
-def test_the_beginning_loads_nothing_but_what_signals_need() -> None:
-    code = (
-        "import importlib, signal, sys; before = set(sys.modules); import qdgrasp.entry; "
-        "print(*(set(sys.modules) - before))"
-    )
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True).stdout
-    assert set(loaded.split()) == {"qdgrasp", "qdgrasp.entry"}
 
 
 DISTURBED = """
@@ -102,25 +84,6 @@ def answer(name: str, flag: str) -> str:
 def test_every_command_answers_for_help_and_says_its_version(name: str) -> None:
     assert f"Usage: {name}" in answer(name, "--help")
     assert answer(name, "--version") == f"{name} {version('qdgrasp')}\n"
-
-
-def test_a_command_without_a_word_behind_it_shows_its_help() -> None:
-    done = subprocess.run([sys.executable, "-m", "qdgrasp"], capture_output=True, check=False, text=True)
-    assert done.returncode == 2
-    assert done.stderr.startswith("Usage: qdgrasp [OPTIONS] COMMAND")
-
-
-def pages() -> Iterator[list[str]]:
-    """The words of every command of `qdgrasp` and of its groups."""
-    for name, command in typer.main.get_command(main.app).commands.items():  # type: ignore[attr-defined]
-        yield [name]
-        yield from ([name, each] for each in getattr(command, "commands", {}))
-
-
-@pytest.mark.parametrize("words", list(pages()), ids=" ".join)
-def test_every_command_and_group_of_qdgrasp_says_the_version_of_the_program(words: list[str]) -> None:
-    said = CliRunner().invoke(main.app, [*words, "--version"], prog_name="qdgrasp")
-    assert (said.exit_code, said.output) == (0, f"qdgrasp {version('qdgrasp')}\n")
 
 
 def headings(text: str) -> dict[str, list[str]]:

@@ -1,6 +1,5 @@
 """`qdgrasp evaluate` and `import`: nothing is replaced unasked."""
 
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +19,6 @@ def refusal(*arguments: object) -> InputError:
     error = CliRunner().invoke(app, asked).exception
     assert isinstance(error, InputError)
     return error
-
-
-@pytest.mark.parametrize(("given", "missing"), [((), "--poses"), (("--poses", "poses.npz"), "--out")])
-def test_files_that_are_not_named_are_asked_for(given: tuple[str, ...], missing: str) -> None:
-    assert str(refusal(*given)).startswith(f"{missing} is missing: name an npz file")
 
 
 @pytest.fixture
@@ -69,23 +63,3 @@ def test_what_a_file_says_of_a_mesh_is_in_the_command_that_scores_it(tmp_path: P
     assert "--mass 0.25 --set friction=1.0 --poses" in command(tmp_path / "f.h5", *asked).stdout
     (tmp_path / "f.yaml").write_text(ISAAC)
     assert "box.stl --mass KG --poses" in command(tmp_path / "f.yaml", *asked, "--force").stdout
-
-
-def test_what_is_there_is_replaced_by_force_and_it_is_told_what_is_being_read(tmp_path, monkeypatch) -> None:
-    told: list[str] = []
-    monkeypatch.setattr(
-        "qdgrasp_tools.cli.grasp_commands.progress_messages", lambda: nullcontext(told.append)
-    )
-    (tmp_path / "f.yaml").write_text(ISAAC)
-    (tmp_path / "poses.npz").write_bytes(b"precious")
-    asked = (tmp_path / "f.yaml", "--gripper", "panda", "--object", "mug", "-o", tmp_path / "poses.npz")
-    done = command(*asked, "--force")
-    assert len(read_poses(tmp_path / "poses.npz")) == 1
-    assert (done.exit_code, told) == (0, [f"reading {tmp_path / 'f.yaml'}"])
-
-
-def test_a_hand_or_object_that_is_none_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "f.yaml").write_text(ISAAC)
-    for gripper, object_ in (("pandaa", "mug"), ("panda", "mugg")):
-        asked = (tmp_path / "f.yaml", "--gripper", gripper, "--object", object_, "-o", tmp_path / "p.npz")
-        assert "Unknown" in str(command(*asked).exception)

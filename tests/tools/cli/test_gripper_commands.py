@@ -4,12 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.assets import example_hands, example_mjcf, synthetic_hands
+from tests.assets import example_hands, example_mjcf
 from typer.testing import CliRunner
 
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
-from qdgrasp_coordinator.storage.outputs import is_drawn_here
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue
 from qdgrasp_tools.cli import gripper_commands as command
 from qdgrasp_tools.cli.gripper_commands import gripper_app
 
@@ -38,47 +37,6 @@ def test_new_writes_a_file_that_check_finds_good(gripper):
     assert read_gripper_file(Path("jaw.toml")).licence == "CC0"
     found = json.loads(gripper("check", "jaw.toml", "--json").stdout)
     assert (found["faults"], found["base_link"], found["fingers"]) == ([], "palm", 2)
-
-
-def test_new_draws_the_hand_beside_its_file_and_names_the_picture(gripper):
-    assert "drawn: hands/own.png" in gripper("new", "jaw.urdf", "-o", "hands/own.toml").stdout
-    assert is_drawn_here(Path("hands/own.png"))
-    assert gripper("new", "jaw.urdf", "-o", "hands/own.toml", "--force").exit_code == 0
-
-
-def test_new_leaves_a_picture_that_it_did_not_draw(gripper):
-    Path("jaw.png").write_text("mine")
-    assert gripper("new", "jaw.urdf").exit_code != 0
-    assert (Path("jaw.png").read_text(), Path("jaw.toml").exists()) == ("mine", False)
-
-
-def test_flags_say_which_links_begin_fingers_and_which_joints_do_not_close(gripper):
-    Path("claw.urdf").write_text(synthetic_hands.claw())
-    words = ("--finger", "left_finger", "--finger", "right_finger", "--not-closing", "right")
-    done = gripper("new", "claw.urdf", *words)
-    assert done.exit_code == 0, done.output
-    file = read_gripper_file(Path("claw.toml"))
-    assert (file.finger_links, file.joints["right"].closed) == (("left_finger", "right_finger"), None)
-    assert "warning          nothing closes the finger that begins with 'right_finger'" in done.stdout
-
-
-@pytest.mark.parametrize("flag", ["--finger", "--not-closing"])
-def test_a_name_that_the_hand_does_not_have_is_refused(gripper, flag):
-    assert isinstance(gripper("new", "jaw.urdf", flag, "slid").exception, UnknownName)
-
-
-@pytest.mark.usefixtures("bare")
-def test_a_urdf_whose_links_have_no_masses_is_drawn_all_the_same(gripper):
-    done = gripper("check", "jaw.urdf", "--picture", "pictures")
-    assert isinstance(done.exception, AssetError)
-    assert "WRONG            the link 'palm' is without <inertial>" in done.stdout
-    assert is_drawn_here(Path("pictures/jaw.png"))
-
-
-def test_a_urdf_with_visual_shapes_alone_is_drawn_by_these(gripper):
-    Path("jaw.urdf").write_text(example_hands.JAW_URDF.replace("collision", "visual"))
-    assert isinstance(gripper("check", "jaw.urdf", "--picture", "pictures").exception, AssetError)
-    assert is_drawn_here(Path("pictures/jaw.png"))
 
 
 def test_flags_are_taken_before_guesses(gripper):
@@ -110,11 +68,6 @@ def test_a_flag_that_means_nothing_is_refused(gripper, flag, value, sentence):
     assert not Path("jaw.toml").exists()
 
 
-def test_new_writes_over_another_file_where_it_is_told_to(gripper):
-    Path("jaw.toml").write_text("mine")
-    assert gripper("new", "jaw.urdf", "--force").exit_code == 0
-
-
 @pytest.mark.usefixtures("bare")
 def test_what_cannot_be_used_is_refused_with_all_faults_and_what_helps(gripper):
     done = gripper("new", "jaw.urdf")
@@ -130,12 +83,6 @@ def test_a_repaired_copy_lies_beside_the_file_and_is_what_it_names(gripper, bare
     assert gripper("check", "jaw.toml").exit_code == 0
 
 
-def test_a_urdf_in_another_folder_is_named_by_its_whole_path(gripper, tmp_path):
-    (tmp_path / "elsewhere").mkdir()
-    gripper("new", "jaw.urdf", "-o", "elsewhere/jaw.toml")
-    assert read_gripper_file(Path("elsewhere/jaw.toml")).urdf == str((tmp_path / "jaw.urdf").resolve())
-
-
 def test_on_a_terminal_it_asks_with_guesses_as_defaults(gripper, monkeypatch):
     monkeypatch.setattr(command, "is_asked", lambda: True)
     done = gripper("new", "jaw.urdf", input="plam\n\n\nnear\n0.02\n\nleft,right\nMIT\n")
@@ -145,23 +92,6 @@ def test_on_a_terminal_it_asks_with_guesses_as_defaults(gripper, monkeypatch):
     assert "# 2 moving limbs go out from it" in done.stdout
     file = read_gripper_file(Path("jaw.toml"))
     assert (file.palm_offset, file.licence, file.approach_axis) == (0.02, "MIT", (0.0, 0.0, 1.0))
-
-
-@pytest.mark.usefixtures("bare")
-def test_on_a_terminal_it_asks_whether_to_mend(gripper, monkeypatch):
-    monkeypatch.setattr(command, "is_asked", lambda: True)
-    done = gripper("new", "jaw.urdf", input="y\n" + "\n" * 6)
-    assert done.exit_code == 0, done.output
-    assert Path("jaw_repaired.urdf").is_file()
-    assert isinstance(gripper("new", "jaw.urdf", "--force", input="n\n").exception, AssetError)
-
-
-def test_a_urdf_alone_is_checked_and_drawn_as_it_is_guessed(gripper):
-    done = gripper("check", "jaw.urdf", "--picture", "pictures")
-    assert done.exit_code == 0
-    assert "drawn: pictures/jaw.png" in done.stdout
-    assert Path("pictures/jaw.png").read_bytes()[:4] == b"\x89PNG"
-    assert is_drawn_here(Path("pictures/jaw.png"))
 
 
 def test_check_says_all_that_is_wrong_and_ends_so(gripper):
@@ -193,60 +123,6 @@ def test_a_hand_of_a_mujoco_file_becomes_a_urdf_beside_its_file(gripper, tmp_pat
     assert gripper("check", "hand.toml").exit_code == 0
 
 
-def test_a_hand_of_a_mujoco_file_is_mended_like_others(gripper, tmp_path):
-    example_mjcf.write(tmp_path, example_mjcf.LINKAGE)
-    flags = ("hand.xml", "--yes", "--closed", "left_crank=0.4")
-    done = gripper("new", *flags, "--mend")
-    assert done.exit_code == 0, done.output
-    assert "repaired: nothing had to be" in done.stdout
-    assert "hand_meshes/left_crank_capsule.obj" in Path("hand_repaired.urdf").read_text()
-    assert gripper("new", *flags).exception is not None  # it is there already
-    assert gripper("new", *flags, "--force").exit_code == 0
-
-
-def test_a_mujoco_file_alone_is_checked_and_drawn_as_it_is_guessed(gripper, tmp_path):
-    example_mjcf.write(tmp_path, example_mjcf.LINKAGE)
-    done = gripper("check", "hand.xml", "--picture", "pictures")
-    assert "note             'left_rocker' (1 times it)" in done.stdout
-    assert is_drawn_here(Path("pictures/hand.png"))
-    assert [path.name for path in tmp_path.iterdir() if "mended" in path.name] == []
-
-
-def test_a_gripper_s_file_that_names_a_mujoco_file_is_told_the_way(gripper, tmp_path):
-    example_mjcf.write(tmp_path, example_mjcf.JAW)
-    Path("jaw.toml").write_text(example_hands.JAW_TOML.replace("jaw.urdf", "hand.xml"))
-    assert "of which `qdgrasp gripper new` writes a URDF" in gripper("check", "jaw.toml").stdout
-
-
-@pytest.mark.parametrize("name", ["hand.xacro", "world.sdf", "hand.urdf"])
-def test_a_file_that_is_no_urdf_is_refused(gripper, name):
-    Path(name).write_text("<sdf/>")
-    assert isinstance(gripper("check", name).exception, AssetError)
-    assert isinstance(gripper("new", name).exception, AssetError)
-
-
-def test_a_built_in_hand_is_checked_by_its_name(gripper):
-    done = gripper("check", "panda")
-    assert done.exit_code == 0
-    assert "WRONG" not in done.stdout
-
-
-def test_a_reference_hand_is_as_it_was_published(gripper, reference_data, monkeypatch):
-    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(reference_data))
-    done = gripper("check", "ref_robotiq_2f")
-    assert done.exit_code == 0
-    assert "note             the joint 'left_inner_knuckle_joint' is limited the wrong way" in done.stdout
-
-
-def test_folders_are_made_for_what_is_written_and_not_for_what_is_refused(gripper, bare):
-    flags = ("-o", "new/hands/jaw.toml", "--mend")
-    assert isinstance(gripper("new", "jaw.urdf", *flags, "--standoff", "0.05,0.01").exception, AssetError)
-    assert [path.name for path in Path().iterdir()] == ["jaw.urdf"]
-    assert gripper("new", "jaw.urdf", *flags).exit_code == 0
-    assert Path("new/hands/jaw_repaired.urdf").is_file()
-    assert read_gripper_file(Path("new/hands/jaw.toml")).urdf == "jaw_repaired.urdf"
-
-
 def test_the_urdf_is_never_written_over(gripper):
     done = gripper("new", "jaw.urdf", "-o", "jaw.urdf", "--force")
     assert str(done.exception) == "jaw.urdf must end with .toml; name another path with --out."
@@ -259,10 +135,3 @@ def test_what_is_found_bad_is_not_written_and_its_repaired_copy_goes(gripper, ba
     assert "WRONG            standoff must be [least, greatest]" in done.stdout
     assert str(done.exception) == "The gripper 'jaw.toml' was not written: correct the fault that is listed."
     assert [path.name for path in Path().iterdir()] == ["jaw.urdf"]
-
-
-def test_a_folder_of_somebody_else_stays_whatever_is_forced(gripper, bare):
-    Path("jaw_meshes").mkdir()
-    Path("jaw_meshes/keep.txt").write_text("mine")
-    assert isinstance(gripper("new", "jaw.urdf", "--mend", "--force", "--yes").exception, AssetError)
-    assert Path("jaw_meshes/keep.txt").read_text() == "mine"

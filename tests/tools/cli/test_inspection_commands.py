@@ -15,10 +15,7 @@ from tests.tools.report.test_row_report import OUTCOMES, run_of
 from typer.testing import CliRunner, Result
 
 from qdgrasp_coordinator.search.registry import METHODS
-from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError
-from qdgrasp_protocol.spec import DEFAULT_METHOD
-from qdgrasp_tools.campaign import campaign_folder
-from qdgrasp_tools.cli.inspection_commands import has_desktop
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.cli.options import host_and_port
 
@@ -39,12 +36,6 @@ def test_a_grasp_is_shown_line_by_line_and_the_run_by_the_name_of_its_folder(pat
     assert "number           1 of 5 rows, counted from 0" in lines
 
 
-def test_machines_are_told_the_same(path: Path) -> None:
-    told = json.loads(show(path, "--grasp", 1, "--json").stdout)
-    assert (told["number"], told["outcome"], told["fitness"], told["eta"]) == (1, "held", 2.0, None)
-    assert told["base_to_object"]["quaternion_xyzw"] == [0, 0, 0, 1]
-
-
 def test_escapes_in_what_a_run_says_of_itself_do_not_reach_the_terminal(tmp_path: Path) -> None:
     title = "\x1b]0;owned\x07\x1b[2J\x9b31m"
     folder = record(tmp_path / f"run{title}", made_scene(), random_rows(10), object=f"{title}.stl")
@@ -60,15 +51,6 @@ def test_a_row_that_is_not_there_is_refused(path: Path) -> None:
     assert str(refused) == (
         f"The journal of {path} has no row 5: it has 5, numbered from 0, and the nearest success is 3."
     )
-
-
-@pytest.mark.parametrize("command", [("show", "--grasp", "0"), ("verify",), ("view",)])
-def test_a_folder_without_a_run_is_refused(tmp_path: Path, command: tuple[str, ...]) -> None:
-    assert isinstance(CliRunner().invoke(app, [*command, str(tmp_path)]).exception, FolderError)
-
-
-def test_a_number_is_asked_for(path: Path) -> None:
-    assert "Missing option '--grasp'" in show(path).output
 
 
 def refused(path: Path, out: object, *arguments: object, grasp: int = 1) -> str:
@@ -99,55 +81,14 @@ def test_a_picture_that_cannot_be_drawn_is_refused(path, tmp_path, name, flags, 
     assert not words.endswith(".") or said.endswith(words)
 
 
-def test_a_row_without_a_pose_is_refused(path: Path, tmp_path: Path) -> None:
-    assert refused(path, tmp_path / "a.png", grasp=2) == (
-        "There is nothing of row 2 to show: it is a dead end, for which decoding found no pose."
-    )
-    assert not (tmp_path / "a.png").exists()
-
-
 def refusal(*arguments: object) -> BaseException | None:
     return CliRunner().invoke(app, ["verify", *map(str, arguments)]).exception
-
-
-def test_all_rows_leave_nothing_to_a_sample(tmp_path: Path) -> None:
-    refused = refusal(tmp_path, "--all", "--sample", 3)
-    assert isinstance(refused, InputError)
-    assert str(refused) == "--all leaves nothing to --sample: give one of them."
-
-
-def test_a_run_without_rows_is_refused(tmp_path: Path, make_scene: SceneMaker) -> None:
-    refused = refusal(record(tmp_path / "empty", make_scene(), random_rows(0)).path)
-    assert isinstance(refused, InputError)
-    assert str(refused) == "Nothing is recorded there that could be evaluated again."
-
-
-@pytest.mark.parametrize(
-    ("text", "place"),
-    [("127.0.0.1:8080", ("127.0.0.1", 8080)), ("[::1]:80", ("::1", 80)), ("head:0", ("head", 0))],
-)
-def test_the_place_of_the_page_is_a_host_and_a_port(text: str, place: tuple[str, int]) -> None:
-    assert host_and_port(text) == place
 
 
 @pytest.mark.parametrize("text", ["", "8080", ":8080", "head", "head:", "head:x", "head:65536", "head:-1"])
 def test_what_is_no_place_is_refused_with_how_to_write_one(text: str) -> None:
     with pytest.raises(ImpossibleValue, match="HOST:PORT, such as"):
         host_and_port(text)
-
-
-@pytest.mark.parametrize(
-    ("environment", "is_there"),
-    [
-        ({}, False),
-        ({"DISPLAY": ""}, False),
-        ({"DISPLAY": ":0"}, True),
-        ({"WAYLAND_DISPLAY": "wayland-0"}, True),
-        ({"DISPLAY": "localhost:10.0", "SSH_CONNECTION": "10.0.0.1 22 10.0.0.2 22"}, False),
-    ],
-)
-def test_a_browser_is_opened_where_somebody_sits(environment: dict[str, str], is_there: bool) -> None:
-    assert has_desktop(environment) is is_there
 
 
 @pytest.mark.parametrize(("flags", "is_opened"), [([], True), (["--no-open"], False)])
@@ -168,20 +109,6 @@ def test_the_address_is_printed_and_opened_unless_somebody_says_no(tmp_path, mon
     assert done.exit_code == 0, done.exception
     assert done.stdout == f"The grasps are shown at {address} until Ctrl-C.\n"
     assert seen.empty() is not is_opened
-
-
-def test_every_method_has_a_line() -> None:
-    done = CliRunner().invoke(app, ["methods"])
-    assert done.exit_code == 0
-    head, *lines = done.stdout.splitlines()
-    flight = ["population", "generations_in_flight", "in_flight"]
-    assert head.split() == ["name", "prior", "overlaps", *flight, "summary"]
-    assert [line.split()[0] for line in lines] == list(METHODS)
-
-
-def test_the_default_comes_first_and_is_marked() -> None:
-    assert next(iter(METHODS)) == DEFAULT_METHOD
-    assert [name for name, entry in METHODS.items() if "default" in entry.summary] == [DEFAULT_METHOD]
 
 
 def test_machines_get_the_same_table() -> None:
@@ -210,13 +137,6 @@ def test_a_campaign_says_what_its_objects_got_and_which_got_little(campaign: Pat
     assert "got little       4" in lines
     assert "  part_00002: no grasp: the open hand overlaps it in 100 of 100 poses" in lines
     assert "left out         2: it is not closed" in lines
-
-
-def test_machines_are_told_of_the_objects_too(campaign: Path) -> None:
-    found = json.loads(info(campaign, "--json").stdout)
-    assert (found["skipped"], found["little"], found["states"]["done"]) == (3, 4, 7)
-    assert found["quantiles"]["grasps"]["most"] == 80
-    assert {each["object"] for each in found["least"]} == {f"part_0000{n}" for n in (2, 3, 4, 6)}
 
 
 def objects_of(result: Result) -> list[str]:
@@ -258,19 +178,3 @@ def test_the_table_is_written_as_csv(campaign: Path, tmp_path: Path) -> None:
 )
 def test_flags_of_the_table_that_do_nothing_are_refused(campaign: Path, flags: list[str], words: str) -> None:
     assert words in str(info(campaign, *flags).exception)
-
-
-def test_a_run_has_no_table_of_objects(path: Path) -> None:
-    assert "--objects is about the objects of a campaign" in str(info(path, "--objects").exception)
-
-
-def test_finished_runs_are_not_counted_again(campaign: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = info(campaign, "--objects").stdout
-    counted = []
-    count = campaign_folder.run_listing
-    monkeypatch.setattr(
-        campaign_folder, "run_listing", lambda path, spec: counted.append(path.name) or count(path, spec)
-    )
-    assert info(campaign, "--objects").stdout == before
-    assert "allegro-part_00007-aimed" in {name.partition("-s0")[0] for name in counted}
-    assert len(counted) < len(list((campaign / "runs").iterdir()))

@@ -23,7 +23,7 @@ from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import MeshPreparation
-from qdgrasp_protocol.errors import FolderError, InputError, NoReply
+from qdgrasp_protocol.errors import InputError, NoReply
 from qdgrasp_protocol.messages import Order, OrderReply
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
@@ -63,12 +63,6 @@ def test_a_run_without_a_grasp_has_nothing_to_score_again(source: RunFolder, tmp
     assert isinstance(refused, InputError)
     assert "has found no grasp (fitness 1 or more)" in str(refused)
     assert not (tmp_path / "again").exists()
-
-
-def test_a_folder_that_holds_a_run_is_never_written_over(source: RunFolder) -> None:
-    refused = rerank(source.path, "--out", source.path).exception
-    assert isinstance(refused, FolderError)
-    assert "holds a run already" in str(refused)
 
 
 def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) -> None:
@@ -166,14 +160,6 @@ def test_a_run_of_which_no_worker_would_have_the_engine_is_not_begun(tmp_path, m
     assert isinstance(refused, InputError)
     assert "The engine mujoco-warp needs a worker with a device: set QDGRASP_DEVICE=cuda" in str(refused)
     assert not [*tmp_path.iterdir()]
-
-
-def test_one_worker_is_started_for_a_device_and_none_is_needed_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("QDGRASP_DEVICE", "cuda")
-    assert options.worker_count(None, None, "mujoco-warp") == 1
-    monkeypatch.delenv("QDGRASP_DEVICE")
-    assert options.worker_count(0, "mujoco-warp") == 0
-    assert options.worker_count(3, "mujoco") == 3
 
 
 @pytest.mark.parametrize(("errors", "said"), [(0, ""), (1, "failed on 1 row,"), (3, "failed on 3 rows,")])

@@ -56,21 +56,6 @@ def test_a_terminal_shows_a_bar_with_the_time_left_and_every_figure_below_it() -
     assert " ".join(words).split() == FIGURES.words.split()
 
 
-@pytest.mark.parametrize("width", [40, 80, 200])
-def test_no_line_is_wider_than_the_terminal(width: int) -> None:
-    assert max(map(len, seen(FIGURES, width))) <= width
-
-
-def test_figures_name_failed_runs_only_where_there_are_some() -> None:
-    assert FIGURES.words.startswith("1233 of 1545 runs and 12 failed, 123456789 of 154500000 evaluations, ")
-    assert "failed" not in seen(replace(FIGURES, runs_failed=0))[1]
-
-
-def test_both_countings_are_shown() -> None:
-    words = "100000000 simulated of 987654321 proposals, 20000000 overlaps, 3456789 dead ends"
-    assert words in FIGURES.words
-
-
 def test_plain_lines_tell_of_trouble_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     lines = LineProgress("paper")
     lines.show(FIGURES)
@@ -81,29 +66,12 @@ def test_plain_lines_tell_of_trouble_at_once(capsys: pytest.CaptureFixture[str])
     assert "paused: no recorder answers" in said[1]
 
 
-def test_a_job_whose_recorder_is_still_on_its_way_is_starting(capsys: pytest.CaptureFixture[str]) -> None:
-    early = replace(FIGURES, state="starting", seconds=1.0)
-    lines = LineProgress("paper")
-    lines.show(early)
-    lines.show(replace(early, trouble="no recorder answers", seconds=2.0))
-    lines.show(replace(early, trouble="no recorder answers", seconds=60.0))
-    first, second = capsys.readouterr().err.splitlines()
-    assert ", starting, " in first
-    assert "paused: no recorder answers" in second
-
-
 def test_what_a_coordinator_says_is_escaped(capsys: pytest.CaptureFixture[str]) -> None:
     figures = replace(FIGURES, trouble=EVIL)
     LineProgress("paper").show(figures)
     for said in (capsys.readouterr().err, "\n".join(seen(figures, 200))):
         assert r"paused: \x1b[2J" in said
         assert EVIL not in said
-
-
-def test_a_job_whose_runs_ended_early_is_done_when_nothing_remains() -> None:
-    over = replace(FIGURES, remaining=0)
-    assert seen(over)[0].endswith("100 %  nothing left")
-    assert (over.done, replace(FIGURES, evaluations=0).done) == (1.0, 0.0)
 
 
 PATIENCE = 60.0
@@ -119,12 +87,6 @@ def test_the_latest_sentence_is_said_again_and_again_until_the_end() -> None:
         while not said.get(timeout=PATIENCE).startswith("writing, "):
             pass
     assert "repeat-latest" not in {thread.name for thread in threading.enumerate()}
-
-
-def test_what_is_done_soon_says_nothing_where_nobody_sees_it_move(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress.progress_messages() as tell:
-        tell("reading mugs.yaml")
-    assert capsys.readouterr().err == ""
 
 
 def test_a_terminal_shows_it_and_is_left_clean(monkeypatch: pytest.MonkeyPatch) -> None:

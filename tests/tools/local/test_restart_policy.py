@@ -97,12 +97,6 @@ def test_a_coordinator_that_ended_with_a_sentence_ends_the_job_with_it(code: int
     assert raised.value.exit_code > 0  # the job is not done
 
 
-@pytest.mark.parametrize("name", ["coordinator", "recorder"])
-def test_a_process_whose_log_is_gone_ends_the_job_with_a_sentence_all_the_same(staff: Staff, name) -> None:
-    with pytest.raises(InputError, match=f"^The {name} ended with exit code 2, and its log does not say why"):
-        staff.dies(name, 2)
-
-
 @pytest.mark.parametrize("name", ["coordinator", "recorder", "worker-1"])
 @pytest.mark.parametrize(
     ("number", "most"), [(signal.SIGSEGV, MOST_DEATHS), (signal.SIGKILL, MOST_OUTSIDE_DEATHS)]
@@ -121,16 +115,6 @@ def test_who_dies_while_the_job_goes_on_is_always_started_again(staff: Staff) ->
         staff.dies("coordinator", -9)
         staff.waits(20)
     assert len(staff.started) == 10 * MOST_DEATHS
-
-
-def test_replaying_what_was_found_before_is_no_progress(staff: Staff) -> None:
-    staff.watch.note_progress(figures(evaluations=100))
-    for n in range(MOST_DEATHS):
-        staff.watch.note_progress(figures(evaluations=n))
-        staff.dies("coordinator", -11)
-        staff.waits(20)
-    with pytest.raises(EndedEarly):
-        staff.dies("coordinator", -11)
 
 
 def test_a_worker_that_ended_well_was_asked_to_leave_and_stays_away(staff: Staff) -> None:
