@@ -17,7 +17,6 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
 from qdgrasp_coordinator.metrics.success_metrics import SuccessHistory
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, row_shape
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
@@ -120,7 +119,7 @@ def run(spec: RunSpec, build: BuildSearch | None = None, *, shakes: bool = True)
     prior = prior_of(spec)
     scene = build_scene(spec)
     search = TimedSearch((build or method(spec.method).build)(spec, search_space(scene, prior)))
-    flight, more = Flight.of(spec), TrialPlan.of(spec)
+    flight, more = Flight.of(spec), spec.trial_count
     shape = row_shape(scene, prior)
     pipeline = Pipeline(search, shape, spec.evaluations, spec.overlaps, flight, more)
     with Evaluator(scene) as evaluator:

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp.arguments import POSE_COLUMNS, SceneArguments, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
-from qdgrasp_coordinator.metrics.scores import nominal_scores
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
+from qdgrasp_coordinator.metrics.scores import TrialPlan, nominal_scores
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_plan import (
     JobExtent,

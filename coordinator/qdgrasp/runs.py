@@ -14,8 +14,7 @@ from qdgrasp.hand import Hand
 from qdgrasp_assets.genes import archive_box, layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
-from qdgrasp_coordinator.metrics.scores import scored_successes
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
+from qdgrasp_coordinator.metrics.scores import TrialPlan, scored_successes
 from qdgrasp_coordinator.search.archive import ribs_archive
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder

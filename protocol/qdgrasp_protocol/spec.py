@@ -20,7 +20,7 @@ from msgspec.inspect import NoneType
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.engines import DEFAULT_ENGINE, DEVICE_ENGINE, EngineChoice, engine_names
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownKey
-from qdgrasp_protocol.rows import LIFT, disturbance_count, nominal_protocol, trial_count
+from qdgrasp_protocol.rows import LIFT, TRIALS, disturbance_count, nominal_protocol, trial_count
 
 MAX_TOML_SIZE = 4 << 20
 """Most characters that are parsed; 4096 poses of a hand with 25 joints have two million."""
@@ -56,10 +56,6 @@ BaseName = Literal["paper", "physical"]
 Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
-Trials = Literal["all", "sequential"]
-"""Ways to choose how many trials a success has: each as many, or more where it may be the best."""
-SEQUENTIAL_STAGES = (10, 30)
-"""Trials of a success after each stage but the last, in which it has all."""
 
 AimFor = Literal["hold", "touch", "eta", "margin"]
 """Objectives of a search: robust grasps, contact, the sum over trials, the Ferrari-Canny margin."""
@@ -161,10 +157,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """Distance [m] from which the open hand comes along its approach axis; default 0, with a table 0.1."""
     resting_pose: Annotated[int, Meta(ge=0, lt=MOST_RESTING_POSES)] | Literal["any"] | None = None
     """How the object rests on a table, by `qdgrasp asset resting-poses`; default: no table."""
-    trials: Trials | None = None
-    """How many trials each success has under `robust`; default: all."""
-    finalists: Annotated[int, Meta(ge=1, le=MAX_POPULATION)] | None = None
-    """With sequential trials: how many best poses are wanted; default: the best of each 1 cm cell."""
+    trials: Annotated[int, Meta(ge=1, le=TRIALS)] | None = None
+    """Trials of each success under `robust`; default 100."""
     aim_for: AimFor | None = None
     """Objective of the method aimed; eta needs the protocol robust."""
     diversity: DiversityName | None = None
@@ -237,11 +231,9 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         return disturbance_count(self.nominal_protocol)
 
     @property
-    def stages(self) -> tuple[int, ...]:
-        """Numbers of trials that a success may have, ascending; none without trials."""
-        most = trial_count(self.protocol)
-        few = SEQUENTIAL_STAGES if self.trials == "sequential" else ()
-        return (*few, most) if most else ()
+    def trial_count(self) -> int:
+        """Trials of each success; 0 where the protocol has none."""
+        return self.trials or trial_count(self.protocol)
 
 
 def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
@@ -261,13 +253,8 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         )
     if spec.trials is not None and not trial_count(spec.protocol):
         raise InputError(
-            f"{where}: trials = '{spec.trials}' is for the protocol 'robust', and '{spec.protocol}' has no "
+            f"{where}: trials = {spec.trials} is for the protocol 'robust', and '{spec.protocol}' has no "
             "trials; leave trials out, or take protocol = 'robust'."
-        )
-    if spec.finalists is not None and spec.trials != "sequential":
-        raise InputError(
-            f"{where}: finalists = {spec.finalists} says how many successes have all trials where they are "
-            "sequential; leave it out, or take trials = 'sequential'."
         )
     if spec.mesh is not None and spec.mesh.remesh and spec.mesh.hull:
         raise InputError(f"{where}: remesh and hull each replace the mesh by another one; take one of them.")

@@ -47,7 +47,7 @@ def digest_text() -> str:
 def digests(home: Path) -> dict[str, dict[str, str]]:
     """Digests of the rows and the scenes of the campaign's runs and of the reranking, by name."""
     carry_out(home, "campaign", CAMPAIGN, "--out", "campaign")
-    carry_out(home, "rerank", f"campaign/runs/{RERANKED}", "--top", 2, "--trials", "all", "--out", "reranked")
+    carry_out(home, "rerank", f"campaign/runs/{RERANKED}", "--top", 2, "--out", "reranked")
     folders = [*sorted((home / "campaign" / "runs").iterdir()), home / "reranked"]
     return {folder.name: digests_of(RunFolder.open(folder)) for folder in folders}
 

@@ -84,16 +84,13 @@ def test_an_impossible_value_is_refused_with_what_is_possible(key: str, value: o
     assert caught.value.exit_code == 2
 
 
-def test_trials_are_one_stage_or_several_where_the_protocol_has_some() -> None:
+def test_each_success_has_as_many_trials_as_the_protocol_has_or_the_spec_asks() -> None:
     spec = {"gripper": "hand", "object": "thing"}
-    assert run_spec(spec).stages == ()
+    assert run_spec(spec).trial_count == 0
     robust = spec | {"protocol": "robust"}
-    assert run_spec(robust).stages == run_spec(robust | {"trials": "all"}).stages == (100,)
-    assert run_spec(robust | {"trials": "sequential", "finalists": 3}).stages == (10, 30, 100)
-    with pytest.raises(InputError, match="trials = 'all' is for the protocol 'robust', and 'paper' has no"):
-        run_spec(spec | {"trials": "all"})
-    with pytest.raises(InputError, match=r"finalists = 3 .* or take trials = 'sequential'"):
-        run_spec(robust | {"finalists": 3})
+    assert (run_spec(robust).trial_count, run_spec(robust | {"trials": 10}).trial_count) == (100, 10)
+    with pytest.raises(InputError, match="trials = 10 is for the protocol 'robust', and 'paper' has no"):
+        run_spec(spec | {"trials": 10})
 
 
 def test_a_table_has_hands_come_from_a_tenth_of_a_metre_unless_another_way_is_said() -> None:

@@ -197,7 +197,7 @@ class Simulation:
             CheckedSearch(plan.task.search(plan.population, plan.seed), plan.flight),
             self.task.shape,
         )
-        budget = (plan.evaluations, plan.overlaps, plan.flight, plan.trial_plan)
+        budget = (plan.evaluations, plan.overlaps, plan.flight, plan.trials)
         pipeline = Pipeline(search, shape, *budget, plan.goals)
         return RunPlan(run, spec, Bundle(b"", digest), "none", shape, pipeline)
 

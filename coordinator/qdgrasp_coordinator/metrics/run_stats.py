@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.metrics.arrays import take_rows
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria, StopTracker, count_to_first
-from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan, TrialSchedule
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
@@ -140,7 +139,7 @@ class RunCounter:
     """Counts the rows of a journal in its order; outcomes are those of nominal rows.
 
     The run is over after `budget` counted evaluations, or when a goal is reached, once each success has its
-    trials; `overlaps` says whether overlaps count as evaluations.
+    `trials`; `overlaps` says whether overlaps count as evaluations.
     """
 
     rows: int = 0
@@ -153,12 +152,12 @@ class RunCounter:
         self,
         budget: int,
         overlaps: Overlaps,
-        trials: TrialPlan = NO_TRIALS,
+        trials: int = 0,
         goals: StopCriteria = BUDGET_ALONE,
     ) -> None:
         self.budget = budget
         self._overlaps = overlaps
-        self._schedule = TrialSchedule(trials)
+        self._trials_each = trials
         self._barren = 0
         self._before = 0
         self._nominal = 0
@@ -176,7 +175,7 @@ class RunCounter:
     @classmethod
     def of(cls, spec: RunSpec) -> Self:
         """Return the counter of a run that has no rows yet."""
-        return cls(spec.evaluations, spec.overlaps, TrialPlan.of(spec), StopCriteria.of(spec))
+        return cls(spec.evaluations, spec.overlaps, spec.trial_count, StopCriteria.of(spec))
 
     def count_block(self, block: Rows, spec: RunSpec) -> None:
         """Count the next rows of a journal, and record where each generation ends.
@@ -202,7 +201,6 @@ class RunCounter:
         self._trials_follow = not is_nominal[-1]
         self._count_nominal(rows if is_nominal.all() else take_rows(rows, is_nominal))
         self.trials = self.rows - sum(self._outcomes)
-        self._schedule.count(rows)
         self.finished = self._ending()
 
     def _count_nominal(self, rows: Rows) -> None:
@@ -236,11 +234,6 @@ class RunCounter:
     def totals(self) -> RunTotals:
         """The counts that are published."""
         return RunTotals(**{name: getattr(self, name) for name in TOTAL_NAMES})
-
-    @property
-    def promoted(self) -> NDArray[np.int64]:
-        """Indices (n,) of the successes with trials in the later stage that is under way."""
-        return self._schedule.promoted
 
     @property
     def left(self) -> int:
@@ -290,9 +283,10 @@ class RunCounter:
             raise ImpossibleValue(where, spec.evaluations, expected)
 
     def _ending(self) -> str | None:
-        if self.left <= 0 and self._schedule.is_complete:
+        has_all_trials = self.trials >= self._trials_each * self.successes
+        if self.left <= 0 and has_all_trials:
             return f"the budget of {self.budget} evaluations is spent"
-        if self._goal is not None and self._schedule.is_complete:
+        if self._goal is not None and has_all_trials:
             return self._goal
         genomes = self._nominal - self._fruitful
         if self._barren >= BARREN and genomes >= BARREN_GENOMES:

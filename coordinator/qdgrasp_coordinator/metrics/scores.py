@@ -1,12 +1,14 @@
 """Scores of successes over their trials, and the order of grasps from the best to the worst.
 
-Where the evaluation protocol has trials, the score of a success is their fitness in sum, and where they are
-fewer than the most, as many times as much; elsewhere it is the nominal fitness. Over all disturbances it is
-eta, the estimated probability that the grasp transfers (Huber et al. 2024, appendix B: 100 trials of two
-shakes, so it is the sum over 200; trials of `physical` have six forces each).
+Where the evaluation protocol has trials, the score of a success is the sum of their fitness; elsewhere it is
+the nominal fitness. Over all disturbances it is eta, the estimated probability that the grasp transfers
+(Huber et al. 2024, appendix B: 100 trials of two shakes, so it is the sum over 200; trials of `physical` have
+six forces each).
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +17,59 @@ from qdgrasp_assets.scene import SceneObject
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.metrics.run_stats import success_mask, successes
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.rows import SHAKES, Outcome, Rows
+from qdgrasp_protocol.spec import RunSpec
 
 ROBUST = Outcome.HELD - Outcome.DROPPED  # Survival of what is held, and its entry in reference sets
+
+Z = 1.64
+"""Quantile of the bounds of eta: 95 in 100 etas are above the lower one."""
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrialPlan:
+    """Trials of the successes of a run."""
+
+    trials: int = 0
+    """Trials of each success; 0: the protocol has none."""
+    disturbances: int = SHAKES
+    """Disturbances in each trial."""
+
+    @classmethod
+    def of(cls, spec: RunSpec) -> Self:
+        """Return the plan of a spec."""
+        return cls(spec.trial_count, spec.disturbances)
+
+    def eta(self, scores: NDArray[np.number]) -> Floats:
+        """Return eta, 0 to 1, of scores (n,)."""
+        return scores.astype(np.float64) / (self.disturbances * max(1, self.trials))
+
+
+NO_TRIALS = TrialPlan()
+
+
+def eta_bounds(etas: Floats, counts: NDArray[np.integer]) -> tuple[Floats, Floats]:
+    """Return the lower and upper bound (n,) of etas (n,) over so many trials (n,), at least 1.
+
+    Wilson's interval (1927) for n draws of 0 or 1; a trial's share varies no more than these.
+    """
+    n = counts.astype(np.float64)
+    middle = etas + Z * Z / (2.0 * n)
+    width = Z * np.sqrt(etas * (1.0 - etas) / n + Z * Z / (4.0 * n * n))
+    scale = 1.0 + Z * Z / n
+    # Of an eta of 0 or 1 rounding may put a bound on its other side.
+    return np.minimum((middle - width) / scale, etas), np.maximum((middle + width) / scale, etas)
+
+
+def eta_error(etas: Floats, counts: NDArray[np.integer]) -> Floats:
+    """Return a bound of the standard error (n,) of etas (n,) over so many trials (n,).
+
+    sqrt(eta (1 - eta) / (n - 1)): no share between 0 and 1 of that mean varies more. It is 0 where all trials
+    agree, few or many. NaN for fewer than two.
+    """
+    n = np.where(counts > 1, counts, np.nan)
+    return np.asarray(np.sqrt(etas * (1.0 - etas) / (n - 1.0)))
 
 
 def survival(rows: Rows) -> NDArray[np.uint8]:
@@ -37,11 +88,11 @@ class TrialSums:
     def take(self, rows: Rows) -> Rows:
         """The nominal successes whose generation ended before the last of these rows.
 
-        They are (n,), in journal order. Their `fitness` is the score, their `trial` the number of trials that
-        it is of. Where the protocol has no trials they are those among the rows, with their fitness. Those
-        with fewer trials than every success has are left out.
+        They are (n,), in journal order. Their `fitness` is the score, their `trial` the number of trials.
+        Where the protocol has no trials they are those among the rows, with their fitness. Those whose trials
+        are not all there are left out.
         """
-        if not self._plan.stages or not len(rows):
+        if not self._plan.trials or not len(rows):
             return successes(rows)
         every = rows if self._waiting is None else join_rows([self._waiting, rows])
         found, sums, counts = _trials_of_successes(every)
@@ -59,8 +110,8 @@ class TrialSums:
         return [] if waiting is None else [self._scored(waiting.copy(), self._sums, self._counts)]
 
     def _scored(self, found: Rows, sums: NDArray[np.float64], counts: NDArray[np.int64]) -> Rows:
-        found["fitness"], found["trial"] = self._plan.scores(sums, counts), counts
-        return take_rows(found, counts >= self._plan.least)
+        found["fitness"], found["trial"] = sums, counts
+        return take_rows(found, counts >= self._plan.trials)
 
 
 def _trials_of_successes(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
@@ -93,13 +144,12 @@ def known_scores(rows: Rows, plan: TrialPlan) -> tuple[NDArray[np.float64], NDAr
     """Return scores and numbers of trials of the nominal successes among rows: (n,).
 
     The rows are consecutive ones of a journal, that may begin anywhere, or be joined of several. NaN where
-    fewer trials than every success has are among them. Where the protocol has no trials, scores are fitness,
-    and trials 0.
+    trials are missing among them. Where the protocol has no trials, scores are fitness, and trials 0.
     """
     found, sums, counts = _trials_of_successes(rows)
-    if not plan.stages:
+    if not plan.trials:
         return rows["fitness"][found].astype(np.float64), counts
-    return np.where(counts >= plan.least, plan.scores(sums, counts), np.nan), counts
+    return np.where(counts >= plan.trials, sums, np.nan), counts
 
 
 def nominal_scores(journal: Rows, plan: TrialPlan) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -19,8 +19,7 @@ from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.niches import NicheArchive, NicheKeys
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, ReleasedArchive
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask, success_mask, successes
-from qdgrasp_coordinator.metrics.scores import TrialSums
-from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan, eta_bounds, eta_error
+from qdgrasp_coordinator.metrics.scores import NO_TRIALS, TrialPlan, TrialSums, eta_error
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import Overlaps
 
@@ -287,7 +286,7 @@ class SuccessMetrics:
     @property
     def eta(self) -> EtaSummary | None:
         """Eta of the successes; None for a protocol without trials."""
-        if not self._plan.stages:
+        if not self._plan.trials:
             return None
         found = self._scores
         scores = np.array([score for score, _ in found.counts])
@@ -297,7 +296,7 @@ class SuccessMetrics:
         return EtaSummary(
             successes=total,
             mean=found.mean(etas.tolist()),
-            best=float(etas[np.argmax(eta_bounds(etas, trials)[0])]) if total else None,
+            best=float(etas.max()) if total else None,
             at_least_half=found.mean((etas >= 0.5).astype(np.float64).tolist()),
             error=None if variance is None else math.sqrt(variance / total),
             trials=found.mean(trials.tolist()),

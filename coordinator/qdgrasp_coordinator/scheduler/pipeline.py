@@ -1,9 +1,9 @@
 """The pipeline of one run: orders asks and tells, and ends the run with its budget.
 
 Results arrive in any order; the search is told generation by generation, and the journal is that order:
-by generation, within it nominal rows by index, then, stage by stage, the trials of successes by (index,
-trial). Pure state: in any order of arrival, the rows that become final and the genomes that are asked are a
-function of the spec (docs/reproducibility.md).
+by generation, within it nominal rows by index, then the trials of successes by (index, trial). Pure state: in
+any order of arrival, the rows that become final and the genomes that are asked are a function of the spec
+(docs/reproducibility.md).
 """
 
 from collections import deque
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.metrics.arrays import join_rows, row_bytes, take_rows
 from qdgrasp_coordinator.metrics.run_stats import BUDGET_ALONE, RunCounter
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
-from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.errors import ReplayError
@@ -50,56 +49,40 @@ class Generation:
 class GenerationBuffer:
     """One generation that is asked and not yet told.
 
-    The journal has its nominal rows by index, then the trials of its successes by (index, trial), then trials
-    of the successes that are promoted to a later stage. At most `limit` nominal rows are needed.
+    The journal has its nominal rows by index, then `trials` of each success by (index, trial). At most
+    `limit` nominal rows are needed.
     """
 
     final: int = 0
     """Number of its final rows, in journal order."""
 
-    def __init__(
-        self, number: int, genomes: Genomes, shape: RowShape, limit: int, trials: TrialPlan = NO_TRIALS
-    ) -> None:
+    def __init__(self, number: int, genomes: Genomes, shape: RowShape, limit: int, trials: int = 0) -> None:
         self.number = number
-        self._plan = trials
-        self._stages = (0, *trials.stages)
-        self._stage = 0
-        """Stages that are complete."""
-        self._before = 0
-        """Trials in these stages."""
-        self._promoted: Places | None = None
-        """The successes with trials in this stage, by index; None: all, as in the first."""
-        self._is_due = False
-        """True if the trials of this stage are to be handed out."""
+        self._trials = trials
         self._nominal = min(limit, len(genomes))  # Nominal rows that the journal is to hold
-        self._rows = shape.empty(len(genomes) * (1 + trials.most)).reshape(len(genomes), 1 + trials.most)
+        self._rows = shape.empty(len(genomes) * (1 + trials)).reshape(len(genomes), 1 + trials)
         """By index and trial; rows that are never written cost no memory."""
         self._bytes = row_bytes(self._rows)
         self._rows["generation"][:, 0] = number
         self._rows["index"][:, 0] = np.arange(len(genomes))
         self._rows["genome"][:, 0] = genomes
-        self._is_present = np.zeros((self._nominal, 1 + trials.most), dtype=bool)
+        self._is_present = np.zeros((self._nominal, 1 + trials), dtype=bool)
         self._is_success = np.zeros(self._nominal, dtype=bool)
         self._handed_out = False
         self._opened = 0
         """Nominal rows, from index 0 on, whose trials were handed out where they are successes."""
-        self._asked = np.zeros(self._nominal, dtype=np.int64)
-        """Number of trials of each nominal row that were handed out."""
 
     @property
     def rows_for_tell(self) -> Rows:
         """Nominal rows as told to the search.
 
-        For a success `fitness` is the score over its trials, and `trial` their number.
+        For a success `fitness` is the sum over its trials, and `trial` their number.
         """
         rows = take_rows(self._rows, np.s_[:, 0])
-        if self._plan.stages:
+        if self._trials:
             found = self._successes
-            sums, counts = (
-                self._rows["fitness"][found, 1:].sum(axis=1),
-                self._is_present[found, 1:].sum(axis=1),
-            )
-            rows["fitness"][found], rows["trial"][found] = self._plan.scores(sums, counts), counts
+            rows["fitness"][found] = self._rows["fitness"][found, 1:].sum(axis=1)
+            rows["trial"][found] = self._trials
         return rows
 
     @property
@@ -109,43 +92,27 @@ class GenerationBuffer:
 
     @property
     def is_complete(self) -> bool:
-        """True if every row up to the end of this stage is final."""
-        return not self.missing and self.final == self._nominal + self._before + self._size * len(
-            self._members
-        )
-
-    def promote(self, promoted: Places) -> None:
-        """Begin the next stage, with trials of these successes (n,), ascending."""
-        self._before += self._size * len(self._members)
-        self._stage, self._promoted, self._is_due = self._stage + 1, promoted, True
+        """True if every row is final."""
+        return not self.missing and self.final == self._nominal + self._trials * len(self._successes)
 
     def hand_out(self) -> Generation | None:
         """Return missing rows not handed out before; None: nothing to hand out now.
 
-        Nominal rows first; the first trials of a success once all nominal rows up to it are here, and more
-        once it is promoted.
+        Nominal rows first, then the trials of successes.
         """
         if not self._handed_out:
             self._handed_out = True
             indices = np.flatnonzero(~self._is_present[: self._nominal, 0])
             if len(indices):
                 return self._to_evaluate(indices, np.zeros_like(indices))
-        if self._is_due:
-            self._is_due = False
-            return self._hand_out_trials(self._members)
-        if self._stage or not self._plan.stages:
+        if not self._trials:
             return None
+        # A success has trials once all nominal rows up to it are here: the budget may end the run before it.
         gapless = _count_before_gap(self._is_present[self._opened : self._nominal, 0])
         found = self._opened + np.flatnonzero(self._is_success[self._opened :][:gapless])
         self._opened += gapless
-        return self._hand_out_trials(found)
-
-    def _hand_out_trials(self, found: Places) -> Generation | None:
-        """Return the missing trials of this stage of successes (n,)."""
-        first, last = 1 + self._stages[self._stage], self._stages[self._stage + 1]
-        self._asked[found] = last
-        places, trials = np.nonzero(~self._is_present[found, first : last + 1])
-        return self._to_evaluate(found[places], first + trials) if len(places) else None
+        places, trials = np.nonzero(~self._is_present[found, 1:])
+        return self._to_evaluate(found[places], 1 + trials) if len(places) else None
 
     def put(self, rows: Rows) -> None:
         """Put rows in their places; those that are here already, or were not asked, are ignored."""
@@ -197,20 +164,11 @@ class GenerationBuffer:
         """The successes among the nominal rows that the journal is to hold, by index."""
         return np.flatnonzero(self._is_success[: self._nominal])
 
-    @property
-    def _members(self) -> Places:
-        """The successes with trials in this stage, by index."""
-        return self._successes if self._promoted is None else self._promoted
-
-    @property
-    def _size(self) -> int:
-        """Trials of a success in this stage; 0 where the protocol has none."""
-        return self._stages[self._stage + 1] - self._stages[self._stage] if self._plan.stages else 0
-
     def _is_asked(self, indices: Places, trials: Places) -> NDArray[np.bool_]:
         """Mask of places of this generation: nominal rows, and trials handed out."""
-        is_known: NDArray[np.bool_] = indices < len(self._is_present)
-        return is_known & (trials <= self._asked[np.where(is_known, indices, 0)])
+        is_known: NDArray[np.bool_] = (indices < self._nominal) & (trials <= self._trials)
+        has_trials = self._is_success[np.where(is_known, indices, 0)] & (indices < self._opened)
+        return np.asarray(is_known & ((trials == 0) | has_trials))
 
     def _to_evaluate(self, indices: Places, trials: Places) -> Generation:
         genomes = self._rows["genome"][indices, 0]
@@ -227,9 +185,9 @@ class GenerationBuffer:
         if self.missing:
             indices = np.arange(self.final, min(self.final + most, self._nominal))
             return indices, np.zeros_like(indices)
-        members, size, first = self._members, self._size, self.final - self._nominal - self._before
-        places = np.arange(first, min(first + most, size * len(members)))
-        return members[places // max(1, size)], 1 + self._stages[self._stage] + places % max(1, size)
+        found, first = self._successes, self.final - self._nominal
+        places = np.arange(first, min(first + most, self._trials * len(found)))
+        return found[places // max(1, self._trials)], 1 + places % max(1, self._trials)
 
     def _mismatch(self, asked: Rows, recorded: Rows, column: str) -> str:
         pairs = zip(asked[column], recorded[column], strict=True)
@@ -283,9 +241,7 @@ class Pipeline:
 
     The run ends with the nominal row that reaches the budget, `evaluations`, in journal order, and the trials
     of its generation's rows up to that one. Later rows of that generation are not journalled, and that
-    generation is not told. `goals` end the run earlier in the same way. `trials` gives the trials of
-    nominal successes. Promotions depend on the generations before, and are decided when these are told; the
-    first trials are handed out at once.
+    generation is not told. `goals` end the run earlier in the same way. Each nominal success has `trials`.
     """
 
     def __init__(
@@ -295,7 +251,7 @@ class Pipeline:
         evaluations: int,
         overlaps: Overlaps,
         flight: Flight = ONE_GENERATION,
-        trials: TrialPlan = NO_TRIALS,
+        trials: int = 0,
         goals: StopCriteria = BUDGET_ALONE,
     ) -> None:
         self.tally = RunCounter(evaluations, overlaps, trials, goals)
@@ -379,11 +335,8 @@ class Pipeline:
         if self.tally.is_reached:
             buffer.truncate()
         if buffer.is_complete:
-            if len(promoted := self.tally.promoted):
-                buffer.promote(promoted)
-            else:
-                self.tally.end_generation()
-                self._close(buffer)
+            self.tally.end_generation()
+            self._close(buffer)
         return rows
 
     def _close(self, buffer: GenerationBuffer) -> None:

@@ -19,7 +19,6 @@ from qdgrasp_assets.object_shape import ObjectShape
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Generation, Pipeline
 from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
@@ -271,7 +270,7 @@ def plan_run(
     if search is None:
         check_spec_poses(spec, prepared.scene.gripper, row_shape(prepared.scene, prior_of(spec)).genes)
         search = method(spec.method).build(spec, search_space(prepared.scene, prior_of(spec)))
-    budget = (spec.evaluations, spec.overlaps, Flight.of(spec), TrialPlan.of(spec))
+    budget = (spec.evaluations, spec.overlaps, Flight.of(spec), spec.trial_count)
     return RunPlan.of(
         spec, prepared, lambda shape: Pipeline(search, shape, *budget, StopCriteria.of(spec)), run=run
     )
@@ -288,7 +287,7 @@ def plan_genomes(
     return RunPlan.of(
         spec,
         prepared,
-        lambda shape: Pipeline(search, shape, budget, "count", Flight(2), TrialPlan.of(spec)),
+        lambda shape: Pipeline(search, shape, budget, "count", Flight(2), spec.trial_count),
         prior,
         run,
     )

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.arrays import finite_numbers, read_arrays, real_numbers
-from qdgrasp_coordinator.metrics.scores import nominal_scores
-from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan
+from qdgrasp_coordinator.metrics.scores import NO_TRIALS, TrialPlan, nominal_scores
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -180,7 +179,7 @@ def scores(rows: Rows, plan: TrialPlan = NO_TRIALS) -> dict[str, NDArray[np.gene
     after closing; contacts (n,) finger links in contact; penetration (n,) [m]. Where the plan has trials, eta
     (n,): the estimated probability that it transfers, 0 for all but successes.
     """
-    etas = {"eta": plan.eta(nominal_scores(rows, plan)[0])} if plan.stages else {}
+    etas = {"eta": plan.eta(nominal_scores(rows, plan)[0])} if plan.trials else {}
     rows = rows[rows["trial"] == 0]
     outcome = rows["outcome"]
     return etas | {

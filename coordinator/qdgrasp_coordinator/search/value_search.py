@@ -11,7 +11,6 @@ Quality is the spec's `aim_for`: whether the grasp held (`hold`), its eta (`eta`
 (`margin`), or 1 for any touch (`touch`).
 """
 
-import math
 from collections.abc import Callable
 from functools import partial
 
@@ -21,7 +20,6 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import RANKING_GENES, STEEPEST_VALUE, TOUCH_VALUE, VALUE_FEATURES, VALUED
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.search.aimed import AimedSearch
 from qdgrasp_coordinator.search.archive import PositionBox
@@ -29,7 +27,7 @@ from qdgrasp_coordinator.search.base import SearchSpace
 from qdgrasp_coordinator.search.frontier import ANYWHERE, NEIGHBOURS, Frontier, Places, outcome_ranks
 from qdgrasp_coordinator.search.success_model import WEIGHT_GRAIN, LogisticRegression, ValueThreshold
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.rows import Outcome, Rows, trial_count
+from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import FirstWeights, RunSpec, Weights
 
 FIRST_TOUCH_WEIGHTS = (1.0, -5.0, 3.0, 0.0, 1.0, 2.0)
@@ -51,11 +49,6 @@ GRADES = float(Outcome.HELD - Outcome.DROPPED)  # Outcomes between the worst and
 FULL_ETAS = {"paper": 0.3, "physical": 1.0}
 """Eta of quality 1 by base: of `paper`'s trials most are lost before the hand closes, so that 0.3 is rare."""
 FULL_MARGIN = 0.1  # Ferrari-Canny margin of quality 1; of the Panda on cube and mug 99 in 100 are below 0.07
-PRIOR_TRIALS = 5.0
-"""Number of trials that the mean of grasps nearby counts as, where trials are sequential.
-
-It predicted other trials of the same grasps best (docs/protocols.md, "Trials of `physical`").
-"""
 BLOCK = np.concatenate([NEIGHBOURS, np.zeros((1, 3), np.int64)])  # Steps to a cell's neighbours and itself
 FULL_QUALITY = 0.9  # Quality from which a cell's possible gain is not worth a try
 QUALITY_GRAIN = 1024
@@ -90,48 +83,14 @@ Qualities = Callable[[Rows], Floats]
 def quality_measure(spec: RunSpec, space: SearchSpace) -> Qualities:
     """Return the measure of a spec's objective."""
     if spec.aim_for == "eta":
-        most = FULL_ETAS[spec.nominal_protocol] * spec.disturbances * trial_count(spec.protocol)
-        return EtaQualities(most, PRIOR_TRIALS if spec.trials == "sequential" else 0.0)
+        most = FULL_ETAS[spec.nominal_protocol] * spec.disturbances * spec.trial_count
+        return lambda rows: np.minimum(rows["fitness"].astype(np.float64) / most, 1.0)
     if spec.aim_for == "touch":  # the first touch is worth all, and closes its cell
         return lambda rows: np.ones(len(rows))
     if spec.aim_for == "margin" and space.body is not None:
         body = space.body
         return lambda rows: _quantised_quality(recorded_margins(rows, body) / FULL_MARGIN)
     return lambda rows: (rows["outcome"] >= Outcome.HELD).astype(np.float64)
-
-
-class EtaQualities:
-    """Quality by eta, moved towards that of other grasps nearby where its trials are few.
-
-    The mean of the other successes in the cell and in the 26 around it counts as `prior_trials` trials more,
-    as where etas are drawn from a beta distribution; that of the run where there are none. `most` is the
-    fitness, in sum over all trials, of quality 1.
-    """
-
-    def __init__(self, most: float, prior_trials: float) -> None:
-        self._most = most
-        self._prior_trials = prior_trials
-        self._known: dict[int, list[float]] = {}  # Measured qualities by cell
-        self._sum, self._count = 0.0, 0
-
-    def __call__(self, rows: Rows) -> Floats:
-        """Return the qualities (n,) of the next successes that the search is told."""
-        quality, trials = np.minimum(rows["fitness"].astype(np.float64) / self._most, 1.0), rows["trial"]
-        if not (self._prior_trials and len(rows)):
-            return quality
-        reached = cells(rows["descriptor"][:, :3])
-        for cell, value in zip(cell_keys(reached).tolist(), quality.tolist(), strict=True):
-            self._known.setdefault(cell, []).append(value)
-        block = cell_keys((reached[:, None] + BLOCK).reshape(-1, 3)).reshape(-1, len(BLOCK))
-        self._sum, self._count = math.fsum([self._sum, *quality.tolist()]), self._count + len(rows)
-        pairs = zip(block.tolist(), quality.tolist(), strict=True)
-        prior = np.array([self._mean_of_others(nearby, own) for nearby, own in pairs])
-        return np.asarray((trials * quality + self._prior_trials * prior) / (trials + self._prior_trials))
-
-    def _mean_of_others(self, nearby: list[int], own: float) -> float:
-        """Return the mean quality in cells without one, `own`; the run's if there are no others."""
-        values = [value for cell in nearby for value in self._known.get(cell, [])]
-        return (math.fsum(values) - own) / (len(values) - 1) if len(values) > 1 else self._sum / self._count
 
 
 def _quantised_quality(values: Floats) -> Floats:

@@ -10,8 +10,7 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Joint, Scene
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, SynergyReader
 from qdgrasp_coordinator.metrics.run_stats import success_mask
-from qdgrasp_coordinator.metrics.scores import known_scores
-from qdgrasp_coordinator.metrics.trial_schedule import NO_TRIALS, TrialPlan
+from qdgrasp_coordinator.metrics.scores import NO_TRIALS, TrialPlan, known_scores
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_protocol.messages import SuccessPage, deflated
 from qdgrasp_protocol.rows import GIVEN, RESULT, Layout, RowColumn, Rows, RowShape, pack, unpack
@@ -66,16 +65,14 @@ class RowContext:
         Eta is `NO_ETA` where it is not known.
         """
         scores, trials = known_scores(rows, self.plan)
-        known = self.plan.eta(scores) if self.plan.stages else np.full(len(scores), np.nan)
+        known = self.plan.eta(scores) if self.plan.trials else np.full(len(scores), np.nan)
         return np.nan_to_num(known, nan=NO_ETA), trials
 
     def has_all_trials(self, rows: Rows) -> NDArray[np.bool_]:
         """Flag the nominal successes (n,) in consecutive rows that have all of their trials."""
-        if not self.plan.stages:
+        if not self.plan.trials:
             return np.ones(int(np.count_nonzero(success_mask(rows))), dtype=bool)
-        ends = np.flatnonzero(np.diff(rows["generation"].astype(np.int64)))  # of generations
-        is_over = np.flatnonzero(success_mask(rows)) <= max(ends, default=-1)
-        return np.asarray(is_over | (known_scores(rows, self.plan)[1] == self.plan.most))
+        return np.asarray(known_scores(rows, self.plan)[1] == self.plan.trials)
 
 
 SUCCESS_COLUMNS = (
@@ -184,7 +181,7 @@ def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT)
     if not is_last:
         finds = finds[finds["number"] < upto]
     if len(finds) > (most := page_limit(journal.shape)):
-        unknown = finds["number"][finds["eta"] < 0] if context.plan.stages else numbers[:0]
+        unknown = finds["number"][finds["eta"] < 0] if context.plan.trials else numbers[:0]
         return finds[:most], min([int(finds["number"][most]), *unknown.tolist()])
     return finds, upto
 

@@ -58,7 +58,6 @@ SHORT_KEYS = {
     "protocol": "",
     "overlaps": "",
     "aim_for": "",
-    "trials": "",
     "diversity": "",
     "grasps_per_cell": "grasps",
     "approach_distance": "approach",

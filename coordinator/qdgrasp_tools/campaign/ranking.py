@@ -15,8 +15,13 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_poses,
 )
 from qdgrasp_coordinator.metrics.niches import SynergyReader, niches, without_synergy
-from qdgrasp_coordinator.metrics.scores import best_first, nominal_scores, scored_successes
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_error
+from qdgrasp_coordinator.metrics.scores import (
+    TrialPlan,
+    best_first,
+    eta_error,
+    nominal_scores,
+    scored_successes,
+)
 from qdgrasp_coordinator.search.fixed_poses import postures
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import atomic_files
@@ -153,8 +158,7 @@ def write_ranking(folder: RunFolder) -> str:
 def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
     """Rank a run's poses, best first, ties in their order; each as in `RANKING_COLUMNS`.
 
-    Those with more trials come first, and of these the greater eta. A pose that is no success any more has
-    eta 0: it has no trials.
+    The greatest eta comes first. A pose that is no success any more has eta 0: it has no trials.
     """
     try:
         source = msgspec.json.decode(atomic_files.read(folder.path / SOURCE), type=RankingSource)

@@ -3,6 +3,7 @@
 from msgspec import field, structs
 
 from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows
+from qdgrasp_coordinator.metrics.scores import TrialPlan
 from qdgrasp_coordinator.metrics.success_metrics import (
     Diversity,
     EtaSummary,
@@ -10,7 +11,6 @@ from qdgrasp_coordinator.metrics.success_metrics import (
     SuccessMetrics,
     diversity,
 )
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.engines import DEFAULT_ENGINE

@@ -18,9 +18,9 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.engines import DEFAULT_ENGINE
-from qdgrasp_protocol.errors import EndedEarly, FolderError, ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.errors import EndedEarly, FolderError, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
-from qdgrasp_protocol.rows import GIVEN, LIFT, TRIAL_COUNTS, Rows
+from qdgrasp_protocol.rows import GIVEN, LIFT, TRIAL_COUNTS, TRIALS, Rows
 from qdgrasp_protocol.spec import (
     GOAL_KEYS,
     MAX_POPULATION,
@@ -40,8 +40,6 @@ from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import ProgressDisplay, progress_display, progress_messages
 from qdgrasp_tools.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
 from qdgrasp_tools.report.row_report import synergy_reader
-
-CANDIDATES = 4  # Candidates of a reranking for each of the best that are wanted
 
 
 def run_job(job: JobFolder, config: LocalJobConfig, shown: ProgressDisplay, stop: Stop) -> None:
@@ -91,9 +89,7 @@ def run(
     values = read_run_spec(spec) if spec else {}
     if "cross" in values:
         raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
-    eta = not spec and keys.get("aim_for") == "eta" and keys.get("protocol") == "robust"
-    usual = run_plan.RUN_DEFAULTS | ({"trials": "sequential"} if eta else {})
-    asked = run_plan.full_spec(usual | values | keys, str(spec) if spec else "run")
+    asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | values | keys, str(spec) if spec else "run")
     listening = ListenConfig(listen, security, insecure)
     config = LocalJobConfig(options.worker_count(workers, asked.engine), listen=listening, seconds=seconds)
     place = out or Path("runs") / run_plan.default_run_name(asked)
@@ -212,22 +208,7 @@ def rerank(
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
     ] = 100,
-    trials: Annotated[
-        str | None,
-        typer.Option(
-            help="sequential: ten trials of each candidate, and more of those that may be among the best; "
-            "all: 100 of the best by fitness; default sequential."
-        ),
-    ] = None,
-    candidates: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            max=MAX_POPULATION,
-            metavar="N",
-            help="With sequential trials: of how many grasps the best are sought; default 4 x top.",
-        ),
-    ] = None,
+    trials: Annotated[int, typer.Option(min=1, max=TRIALS, help="How many trials each has.")] = TRIALS,
     by_niche: Annotated[
         bool | None,
         typer.Option(
@@ -259,9 +240,9 @@ def rerank(
 ) -> None:
     """Score the best grasps of a run again, in many disturbed trials each, and rank them by eta.
 
-    Taken is the best grasp of each cell or niche, and of these the best ones as candidates; those that may be
-    among the --top best have a hundred trials. The folder is that of a run:
-    `qdgrasp resume` continues it, and workers may join. ranking.csv in it holds every grasp by eta.
+    Taken is the best grasp of each cell or niche, and of these the --top best. The folder is that of a run:
+    `qdgrasp resume` continues it, and workers may join; it can be scored again, few of its best with more
+    trials. ranking.csv in it holds every grasp by eta.
 
     With two engines a trial is passed that holds in both.
 
@@ -271,7 +252,6 @@ def rerank(
     """
     if protocol not in TRIAL_COUNTS:
         raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)
-    most = _candidate_count(top, trials, candidates)
     if object_pose is not None and not discard_table:
         raise InputError("--object-pose says how the object stands on a table: add --discard-table.")
     source = RunFolder.open(directory)
@@ -283,9 +263,8 @@ def rerank(
     if ways:
         found = ranking.reachable_grasps(source, found, **ways)
     kinds = ranking.kinds_of_run(source.spec, found, synergy_reader(source), by_niche)
-    chosen = ranking.best_of_kinds(found, most, source.scene().object, kinds)
-    race = {"trials": trials} if trials == "all" else {"trials": trials or "sequential", "finalists": top}
-    spec = rerank_spec(source, chosen, base, engine, protocol=protocol, **race, **ways)
+    chosen = ranking.best_of_kinds(found, top, source.scene().object, kinds)
+    spec = rerank_spec(source, chosen, base, engine, protocol=protocol, trials=trials, **ways)
     listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, spec.engine)
     config = LocalJobConfig(count, listen=listening)
@@ -299,20 +278,6 @@ def rerank(
             begun = RunFolder.create(folder, spec, bundle, job=job, more=noted)
             run_job(begun.job, config, shown, stop)
     print_result(begun, stop)
-
-
-def _candidate_count(top: int, trials: str | None, candidates: int | None) -> int:
-    """Return how many grasps are scored, so that the best `top` are found."""
-    if trials == "all":
-        if candidates is not None:
-            raise InputError(
-                "--candidates is for sequential trials, and with --trials all the best by fitness have all "
-                "trials: leave it out, or say with --top how many."
-            )
-        return top
-    if candidates is not None and candidates < top:
-        raise ImpossibleValue("--candidates", candidates, f"at least {top}, as --top says")
-    return candidates or min(CANDIDATES * top, MAX_POPULATION)
 
 
 def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) -> Rows:
@@ -360,7 +325,7 @@ def rerank_spec(
     return run_spec({key: value for key, value in values.items() if key not in OF_A_SEARCH} | asked, "rerank")
 
 
-OF_A_SEARCH = (*OBJECTIVE_KEYS, "in_flight", "first_weights", "trials", "finalists", *GOAL_KEYS)
+OF_A_SEARCH = (*OBJECTIVE_KEYS, "in_flight", "first_weights", "trials", *GOAL_KEYS)
 """Keys of a run that do not go over to the run that scores its grasps again."""
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
 """Values of a hand that differ between protocols, or that scenes of version 0.1.0 lack."""

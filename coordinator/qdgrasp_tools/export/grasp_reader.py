@@ -19,13 +19,18 @@ from qdgrasp_assets.geometry.rotation import Floats, running_sum
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject, Vector, vector
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, taken_mask, takes_held
-from qdgrasp_coordinator.metrics.scores import best_first, genome_numbers, scored_successes
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_bounds
+from qdgrasp_coordinator.metrics.scores import (
+    TrialPlan,
+    best_first,
+    eta_bounds,
+    genome_numbers,
+    scored_successes,
+)
 from qdgrasp_coordinator.storage.engine_table import TABLE, other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.rows import LIFT, Outcome, Rows, trial_count
+from qdgrasp_protocol.rows import LIFT, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml
 from qdgrasp_protocol.text import join_numbers
 from qdgrasp_tools.export.frames import COM, Frame, scene_original_base, squared_distances
@@ -124,7 +129,7 @@ class GraspReader:
     def _known_etas(self) -> tuple[NDArray[np.generic], Floats, NDArray[np.generic]]:
         """The genomes of successes with enough trials, ascending, and their eta and trials (n,)."""
         plan = TrialPlan.of(self.spec)
-        scored = scored_successes(self.journal.blocks(), plan) if plan.stages else ()
+        scored = scored_successes(self.journal.blocks(), plan) if plan.trials else ()
         found = [
             (genome_numbers(rows), plan.eta(rows["fitness"]), rows["trial"])
             for rows in (self.journal.shape.empty(0), *scored)
@@ -443,11 +448,10 @@ def _resting_poses(check: "ReachabilityCheck", origin: Vector) -> tuple[RestingP
 
 def _confidence_words(spec: RunSpec) -> str:
     share = f"fitness / {spec.disturbances}"
-    if not trial_count(spec.protocol):
+    if not spec.trial_count:
         return share
     base = "" if spec.base == "paper" else f" under {spec.base}"
-    trials = " or ".join(map(str, spec.stages))
-    return f"eta{base} of {trials} trials, {ETA_WORDS}; where it is not known {share}"
+    return f"eta{base} of {spec.trial_count} trials, {ETA_WORDS}; where it is not known {share}"
 
 
 def _public_spec(spec: RunSpec) -> str:

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_poses,
 )
 from qdgrasp_coordinator.metrics.run_stats import outcome_words
-from qdgrasp_coordinator.metrics.trial_schedule import eta_error
+from qdgrasp_coordinator.metrics.scores import eta_error
 from qdgrasp_coordinator.search.fixed_poses import as_given, opened
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import Verdicts

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.metrics.scores import ROBUST, scored_successes, survival
+from qdgrasp_coordinator.metrics.scores import ROBUST, TrialPlan, scored_successes, survival
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS_WORDS
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted
@@ -280,7 +279,7 @@ def _voxels_of_run(name: SceneName, run: RunHistory) -> RunVoxels:
     with folder.journal() as journal:
         found = np.concatenate([journal.shape.empty(0), *scored_successes(journal.blocks(), plan)])
     best = best_in_cells(found)
-    return RunVoxels(name, run, folder.scene(), best, plan.eta(best["fitness"]) if plan.stages else None)
+    return RunVoxels(name, run, folder.scene(), best, plan.eta(best["fitness"]) if plan.trials else None)
 
 
 def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> FigureGrid:

@@ -20,7 +20,7 @@ from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, recorded_margins
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, SynergyReader, synergies
 from qdgrasp_coordinator.metrics.run_stats import success_mask
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_error
+from qdgrasp_coordinator.metrics.scores import TrialPlan, eta_error
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
@@ -261,7 +261,7 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
         found_by = provenance(folder, journal)
         spec, behind = found_by.spec, range(number + 1, found_by.rows.stop)
         plan = TrialPlan.of(spec)
-        repeats = _trial_fitness(journal, row, behind, plan.most)
+        repeats = _trial_fitness(journal, row, behind, plan.trials)
         values: dict[str, object] = {
             "folder": str(folder.path),
             "run": found_by.run,
@@ -274,9 +274,9 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
     values |= _row_fields(row, folder.scene(), prior_of(spec))
     values["elsewhere"] = _other_verdicts(folder, number, row)
     values |= {"scale": spec.scale or 1.0, "trials": len(repeats), "eta": None, "eta_error": None}
-    if 0 < plan.least <= len(repeats):
+    if 0 < plan.trials <= len(repeats):
         count = np.array([len(repeats)])
-        found = plan.eta(plan.scores(np.array([sum(repeats)]), count))
+        found = plan.eta(np.array([sum(repeats)]))
         values |= {"eta": float(found[0]), "eta_error": float(eta_error(found, count)[0])}
     return msgspec.convert(values, RowReport)
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget
 from qdgrasp_coordinator.metrics.run_stats import RunCounter, count_rows, evaluation_mask
+from qdgrasp_coordinator.metrics.scores import TrialPlan
 from qdgrasp_coordinator.metrics.success_metrics import (
     NEAR_NU,
     EtaSummary,
@@ -21,7 +22,6 @@ from qdgrasp_coordinator.metrics.success_metrics import (
     SuccessMetrics,
     join_histories,
 )
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows

@@ -277,7 +277,7 @@ class EngineComparison(Struct, frozen=True, kw_only=True):
         return "\n".join([verdicts, *lines, self.file])
 
 
-OF_TRIALS = ("base", "trials", "finalists")  # Keys of a spec that a comparison has no use for
+OF_TRIALS = ("base", "trials")  # Keys of a spec that a comparison has no use for
 
 
 def compare_engine(

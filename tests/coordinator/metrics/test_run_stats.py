@@ -6,7 +6,6 @@ from tests.coordinator.scheduler.search_plans import Plan, evaluate
 
 from qdgrasp_coordinator.metrics import run_stats
 from qdgrasp_coordinator.metrics.run_stats import BARREN, BARREN_GENOMES, CURVE_POINTS, RunCounter, count_rows
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 
@@ -156,7 +155,7 @@ def test_many_trials_in_many_blocks_are_no_barren_generations() -> None:
 def test_a_simulator_that_fails_in_a_trial_is_counted_among_the_errors_alone() -> None:
     found = rows(Outcome.HELD, Outcome.ERROR)
     found["index"], found["trial"] = 0, [0, 1]
-    total = RunCounter(10, "count", trials=TrialPlan((1,)))
+    total = RunCounter(10, "count", trials=1)
     total.count(found)
     assert (total.errors, total.successes, total.evaluations, total.dead_ends) == (1, 1, 1, 0)
 

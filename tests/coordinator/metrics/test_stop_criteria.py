@@ -79,7 +79,7 @@ def spec_of(plan: Plan) -> RunSpec:
 
 
 def counted(plan: Plan, rows: Rows, size: int) -> RunCounter:
-    total = RunCounter(plan.evaluations, plan.overlaps, plan.trial_plan, plan.goals)
+    total = RunCounter(plan.evaluations, plan.overlaps, plan.trials, plan.goals)
     for first in range(0, len(rows), size):
         total.count(rows[first : first + size])
     return total

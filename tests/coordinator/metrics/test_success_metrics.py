@@ -5,13 +5,13 @@ import pytest
 
 from qdgrasp_coordinator.metrics.cells import MIDDLES
 from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, SynergyReader
+from qdgrasp_coordinator.metrics.scores import TrialPlan
 from qdgrasp_coordinator.metrics.success_metrics import (
     NU_SUMMARY_BINS,
     SuccessMetrics,
     archive_growth,
     diversity,
 )
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 
 SHAPE = RowShape(genes=2, joints=1)
@@ -112,7 +112,7 @@ def with_trials(*sums: int, trials: int = 10) -> Rows:
 
 
 def test_with_trials_fitness_is_the_sum_over_them() -> None:
-    metrics = SuccessMetrics(TrialPlan((10,)))
+    metrics = SuccessMetrics(TrialPlan(10))
     metrics.count(with_trials(0, 7, 20, 13))
     assert metrics.qd_score == 7 + 20
     assert metrics.mean_fitness == 10
@@ -122,7 +122,7 @@ def test_with_trials_fitness_is_the_sum_over_them() -> None:
 
 
 def test_a_success_counts_once_its_trials_are_recorded() -> None:
-    metrics = SuccessMetrics(TrialPlan((10,)))
+    metrics = SuccessMetrics(TrialPlan(10))
     journal = with_trials(4, 16)
     metrics.count(journal[:15])
     assert (metrics.successes, metrics.mean_fitness, metrics.qd_score) == (2, 4, 4)
@@ -132,7 +132,7 @@ def test_a_success_counts_once_its_trials_are_recorded() -> None:
 
 def test_without_trials_there_is_no_eta() -> None:
     assert counted(rows(Outcome.HELD)).eta is None
-    nothing = SuccessMetrics(TrialPlan((10,))).eta
+    nothing = SuccessMetrics(TrialPlan(10)).eta
     assert nothing is not None
     assert (nothing.successes, nothing.mean, nothing.best, nothing.words) == (0, None, None, "none")
 

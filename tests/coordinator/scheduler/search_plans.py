@@ -4,15 +4,13 @@ import hashlib
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from itertools import pairwise
 
 import numpy as np
 
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan, eta_bounds
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm
-from qdgrasp_protocol.rows import SHAKES, Genomes, Outcome, Rows, RowShape
+from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import Overlaps
 
 SHAPE = RowShape(genes=4, joints=1)
@@ -82,10 +80,7 @@ class Plan:
     most_in_flight: int = 0
     """Generations, where there become more."""
     trials: int = 0
-    """Of a success that was promoted to the last stage."""
-    few: tuple[int, ...] = ()
-    """Its trials after the stages before."""
-    finalists: int | None = None
+    """Of each success."""
     successes: int | None = None
     no_new_cell: int | None = None
     grasps: int | None = None
@@ -105,7 +100,7 @@ class Plan:
         """A new pipeline of this run."""
         search = self.task.search(self.population, self.seed)
         budget = (self.evaluations, self.overlaps, self.flight)
-        return Pipeline(search, self.task.shape, *budget, self.trial_plan, self.goals)
+        return Pipeline(search, self.task.shape, *budget, self.trials, self.goals)
 
     @property
     def goals(self) -> StopCriteria:
@@ -118,16 +113,6 @@ class Plan:
         """Generations in flight."""
         return Flight(self.in_flight, self.most_in_flight)
 
-    @property
-    def stages(self) -> tuple[int, ...]:
-        """Trials of a success after each stage."""
-        return (*self.few, self.trials) if self.trials else ()
-
-    @property
-    def trial_plan(self) -> TrialPlan:
-        """The trials of its successes."""
-        return TrialPlan(self.stages, SHAKES, self.finalists)
-
 
 def reference(plan: Plan) -> bytes:
     """The journal of a plan without a bus: written from the contract, not with the pipeline."""
@@ -135,7 +120,7 @@ def reference(plan: Plan) -> bytes:
     search = task.search(plan.population, plan.seed)
     waiting = deque((g, search.ask(g)) for g in range(plan.in_flight))
     journal, barren, idle = [], 0, 0
-    end, race = End(plan), Race(plan)
+    end = End(plan)
     while True:
         number, genomes = waiting.popleft()
         rows = task.evaluate(rows_of(number, genomes, task.shape))
@@ -146,57 +131,18 @@ def reference(plan: Plan) -> bytes:
         found = rows[rows["outcome"] >= Outcome.DROPPED]
         trials = [trials_of(row, plan.trials, task) for row in found]
         journal.append(rows.tobytes())
-        etas: list[list[float]] = [[] for _ in found]
-        for first, last in pairwise((0, *plan.stages)):
-            for place in range(len(found)) if first == 0 else race.promoted(found, etas, first):
-                journal.append(trials[place][first:last].tobytes())
-                etas[place] += [float(trial["fitness"]) / SHAKES for trial in trials[place][first:last]]
-        race.end(found, etas)
+        journal += [each.tobytes() for each in trials]
         barren, idle = (0, 0) if counts.any() else (barren + 1, idle + len(rows))
         if is_last or (barren >= 20 and idle >= 1000):
             return b"".join(journal)
         if plan.trials:
-            means = [SHAKES * sum(each) * plan.trials / len(each) for each in etas]
-            rows["fitness"][rows["outcome"] >= Outcome.DROPPED] = means
-            rows["trial"][rows["outcome"] >= Outcome.DROPPED] = [len(each) for each in etas]
+            is_success = rows["outcome"] >= Outcome.DROPPED
+            rows["fitness"][is_success] = [each["fitness"].sum() for each in trials]
+            rows["trial"][is_success] = plan.trials
         search.tell(number, rows)
         told, behind = number + 1, number + len(waiting)
         in_flight = max(plan.in_flight, min(plan.most_in_flight, plan.in_flight + told // 8))
         waiting.extend((g, search.ask(g)) for g in range(behind + 1, told + in_flight))
-
-
-class Race:
-    """Tells which successes have more trials, written from the contract (docs/robust.md)."""
-
-    def __init__(self, plan: Plan) -> None:
-        self._wanted, self._stages = plan.finalists, plan.stages
-        self._elders: list[tuple[tuple[int, ...], float]] = []
-        """Of the generations before, the cell and the estimate of each success."""
-
-    def promoted(self, found: Rows, etas: list[list[float]], so_far: int) -> list[int]:
-        means = [float(np.mean(each)) for each in etas]
-        chosen = []
-        for place, row in enumerate(found):
-            if len(etas[place]) < so_far:
-                continue  # it was not promoted before
-            others = [
-                *(mean for where, mean in self._elders if self._wanted or where == _cell(row)),
-                *(means[n] for n, other in enumerate(found) if self._wanted or _cell(other) == _cell(row)),
-            ]
-            if self._wanted:
-                rival = sorted(others)[-self._wanted] if len(others) >= self._wanted else 0.0
-            else:
-                others.remove(means[place])
-                rival = max(others, default=np.inf)
-            upper = eta_bounds(np.array(means), np.full(len(means), so_far))[1]
-            chosen += [place] if upper[place] >= rival else []
-        return chosen
-
-    def end(self, found: Rows, etas: list[list[float]]) -> None:
-        if self._stages:
-            self._elders += [
-                (_cell(row), float(np.mean(each))) for row, each in zip(found, etas, strict=True)
-            ]
 
 
 def _cell(row: np.void) -> tuple[int, ...]:

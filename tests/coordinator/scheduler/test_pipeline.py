@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from tests.coordinator.scheduler.search_plans import (
     CHAIN,
-    FEW_CELLS,
     SHAPE,
     Plan,
     Spy,
@@ -21,7 +20,6 @@ from tests.coordinator.scheduler.search_plans import (
 )
 
 from qdgrasp_coordinator.metrics.run_stats import BARREN, BARREN_GENOMES, RunCounter
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_protocol.errors import ImpossibleValue, ReplayError
 from qdgrasp_protocol.messages import Failure
@@ -40,10 +38,6 @@ PLANS = [
 PLANS += [
     Plan(population=p, evaluations=24, overlaps=overlaps, in_flight=first, most_in_flight=5, trials=trials)
     for p, overlaps, first, trials in itertools.product((1, 2), ("count", "redraw"), (1, 2), (0, 3))
-]
-PLANS += [
-    Plan(population=p, in_flight=flight, trials=9, few=few, finalists=n, task=FEW_CELLS)
-    for p, flight, few, n in itertools.product((1, 17), (1, 3), ((2,), (2, 5)), (None, 3))
 ]
 
 
@@ -123,7 +117,7 @@ def test_recorded_rows_allow_just_the_budgets_whose_journals_begin_with_them(ove
     journals = {budget: reference(replace(plan, evaluations=budget)) for budget in range(1, 16)}
     whole = rows_in(journals[13])
     for n in range(len(whole) + 1):
-        tally = RunCounter(13, overlaps, plan.trial_plan)
+        tally = RunCounter(13, overlaps, plan.trials)
         tally.count(whole[:n])
         for budget, expected in journals.items():
             asked = msgspec.structs.replace(spec, evaluations=budget)
@@ -299,7 +293,7 @@ class Fertile(Spy):
 
 def fertile(population: int = 4, evaluations: int = 100, trials: int = 3) -> tuple[Fertile, Pipeline]:
     search = Fertile(population)
-    return search, Pipeline(search, SHAPE, evaluations, "count", trials=TrialPlan((trials,)))
+    return search, Pipeline(search, SHAPE, evaluations, "count", trials=trials)
 
 
 def keys_of(rows: Rows) -> list[tuple[int, int]]:

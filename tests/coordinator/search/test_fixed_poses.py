@@ -11,7 +11,7 @@ from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
+from qdgrasp_coordinator.metrics.scores import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.search.fixed_poses import as_given, postures, read_poses, scores, write_scores
 from qdgrasp_coordinator.search.registry import METHODS, check_spec, method
@@ -216,7 +216,7 @@ def test_scores_of_poses_in_trials_tell_their_eta() -> None:
     nominal = [Outcome.MISSED, Outcome.HELD, Outcome.OVERLAP]
     rows["outcome"] = [*nominal, Outcome.HELD, Outcome.SHAKEN, Outcome.ERROR]
     rows["fitness"] = [0, 2, 0, 2, 1, 0]
-    found = scores(rows, TrialPlan((3,)))
+    found = scores(rows, TrialPlan(3))
     assert found["eta"].tolist() == [0, 0.5, 0]
     assert found["success"].tolist() == [False, True, False]
     assert "eta" not in scores(rows[:3])

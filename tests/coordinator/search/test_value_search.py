@@ -23,7 +23,6 @@ from qdgrasp_coordinator.search.value_search import (
     FULL_MARGIN,
     FULL_QUALITY,
     QUALITY_GRAIN,
-    EtaQualities,
     ValueFrontier,
     ValueModel,
     ValueSearch,
@@ -190,18 +189,3 @@ def test_a_margin_counts_as_a_share_of_the_greatest_in_whole_grains_and_none_as_
     assert quality == pytest.approx([share, 0, 0], abs=1 / QUALITY_GRAIN)
     assert quality[0] > 0
     assert (quality * QUALITY_GRAIN % 1 == 0).all()
-
-
-def test_the_quality_of_few_trials_lies_nearer_to_that_of_others_nearby() -> None:
-    rows = RowShape(genes=1, joints=1).empty(4)
-    rows["fitness"], rows["trial"] = [60, 60, 0, 60], [10, 100, 10, 10]
-    rows["descriptor"][:, 0] = [0.01, 0.01, 0.02, 0.5]  # the last one is far from the others
-    plain, shrunk = (EtaQualities(60.0, prior)(rows) for prior in (0.0, 5.0))
-    assert plain.tolist() == [1, 1, 0, 1]
-    expected = [(10 + 5 / 2) / 15, (100 + 5 / 2) / 105, 5 / 15, (10 + 5 * 3 / 4) / 15]
-    assert shrunk == pytest.approx(expected)
-    later = EtaQualities(60.0, 5.0)
-    later(rows[:2])
-    assert later(rows[2:3]) == pytest.approx([5 / 15])
-    rows["fitness"] = 60
-    assert (EtaQualities(60.0, 5.0)(rows) >= FULL_QUALITY).all()  # which closes their cells

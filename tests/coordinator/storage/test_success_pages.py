@@ -7,15 +7,14 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows, record
 
 from qdgrasp_coordinator.metrics.run_stats import success_mask
-from qdgrasp_coordinator.metrics.scores import known_scores
-from qdgrasp_coordinator.metrics.trial_schedule import TrialPlan
+from qdgrasp_coordinator.metrics.scores import TrialPlan
 from qdgrasp_coordinator.storage import success_pages
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import NO_ETA, RowContext, success_page
 from qdgrasp_protocol.rows import Rows
 
 TRIALS = 3
-LEGEND = RowContext(TrialPlan((TRIALS,)))
+LEGEND = RowContext(TrialPlan(TRIALS))
 
 
 def with_trials(nominal: Rows, seed: int = 1) -> Rows:
@@ -92,21 +91,6 @@ def test_successes_that_lack_trials_are_told_without_eta_and_are_to_be_read_agai
     expected = etas(short)
     assert found == pytest.approx(expected)
     assert upto == min(number for number, eta in expected.items() if eta == NO_ETA)
-
-
-@pytest.mark.parametrize("scanned", [1, 40, 1000])
-def test_successes_with_some_of_their_trials_have_an_eta_and_are_read_again_while_more_may_come(
-    tmp_path: Path, make_scene, rows: Rows, monkeypatch, scanned: int
-) -> None:
-    monkeypatch.setattr(success_pages, "ROWS_SCANNED", scanned)
-    rows = rows[(rows["trial"] < TRIALS) | (rows["index"] % 2 == 0)]  # odd ones are not promoted
-    context = RowContext(TrialPlan((TRIALS - 1, TRIALS)))
-    found, upto = told(record(tmp_path / "few", make_scene(), rows), 0, context)
-    scores, trials = known_scores(rows, context.plan)
-    assert set(trials) == {TRIALS - 1, TRIALS}
-    assert list(found.values()) == pytest.approx(context.plan.eta(scores))
-    is_open = (rows["generation"] == rows["generation"][-1]) & (rows["index"] % 2 == 1) & success_mask(rows)
-    assert upto == np.flatnonzero(is_open)[0]
 
 
 def test_genomes_of_several_sources_that_have_the_same_place_are_told_apart(tmp_path, make_scene) -> None:
