@@ -12,7 +12,7 @@ IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 WITHOUT_BULLET := tests/protocol tests/worker/engines tests/coordinator/storage tests/system/test_without_bullet.py \
   $(addprefix tests/worker/test_,$(addsuffix .py,decoder evaluator physical_episode platform start syntax_digest))
 
-.PHONY: help demo test test-mujoco test-slow test-docs test-gpu check docs fuzz chaos simulate simulate-curves bench scale results results-page lock clean
+.PHONY: help demo test test-mujoco test-slow test-docs test-gpu check docs fuzz chaos simulate bench grasp-bench lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo, ENGINE=mujoco)"
 	@echo "make test    the test suite; make test-slow: more scenarios, some take minutes"
@@ -23,11 +23,9 @@ help:
 	@echo "make docs    the documentation as a site: pages, API reference, gallery (.site/html/index.html)"
 	@echo "make fuzz    a million changed messages: each is refused, or good still (MESSAGES=, SEED=)"
 	@echo "make simulate   5000 histories of machines and links that fail, and what must always hold in them (HISTORIES=, FIRST=)"
-	@echo "make simulate-curves   how busy 10 to 3000 workers are kept: table and figure in docs/simulation"
 	@echo "make chaos   ten runs whose processes are killed and stopped all the time, and scenarios (SEED=, EVALUATIONS=)"
-	@echo "make bench   what everything costs on this machine, and where the time goes (runs/bench)"
-	@echo "make scale   how far a coordinator goes, with workers that only answer; ten minutes (runs/scale.json)"
-	@echo "make results the runs whose results are missing, cheapest scene first; can be stopped (docs/results)"
+	@echo "make bench   what evaluations, the search and a start cost on this machine"
+	@echo "make grasp-bench   the runs of the frozen benchmark that are missing, and its table (docs/results.md)"
 	@echo "make lock    write the lock files that images are built from (deploy/container)"
 	@echo "make clean   remove the environment, the site and the caches of the tools"
 
@@ -73,23 +71,11 @@ simulate: $(VENV)/.ready
 	@$(BIN)/python -m tests.simulation $(addprefix --histories ,$(HISTORIES)) $(addprefix --first ,$(FIRST))
 	@$(if $(FIRST),,$(BIN)/python -m tests.simulation --mutations)
 
-simulate-curves: $(VENV)/.ready
-	@rm -f docs/simulation/curves.csv
-	@$(BIN)/python -m benchmarks.scale.utilisation docs/simulation
-
 bench: $(VENV)/.ready
-	@$(BIN)/python -m benchmarks --out runs/bench
+	@$(BIN)/python -m benchmarks
 
-scale: $(VENV)/.ready
-	@$(BIN)/python -m benchmarks.scale --out runs/scale.json
-
-results: $(VENV)/.ready
-	@$(BIN)/python -m benchmarks.results run $(addprefix --accept ,$(ACCEPT))
-
-results-page: $(VENV)/.ready
-	@$(BIN)/python -m benchmarks.results page
-	@$(BIN)/python -m benchmarks.physics.calibration --page
-	@$(BIN)/python -m benchmarks.leave_one_out --page
+grasp-bench: $(VENV)/.ready
+	@$(BIN)/python -m benchmarks.grasp_bench run
 
 # Versions that are locked stay unless they must change; UPGRADE=--upgrade takes the latest.
 LOCK = $(BIN)/uv pip compile --quiet --generate-hashes --only-binary :all: --python-version 3.11 --python-platform linux \

@@ -1,93 +1,141 @@
-"""Measures costs on this machine: `make bench`, or `python -m benchmarks --help`.
+"""Costs on this machine, as CPU time: `make bench`, or `python -m benchmarks`.
 
-All figures are CPU time unless they say otherwise. Things that are compared are measured in turns in
-this one process: read figures as ratios. Intervals are quartiles over the rounds.
+Arms that are compared take turns in this one process: read the figures as ratios.
 """
 
 import argparse
-import json
-import math
+import resource
+import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterable
-from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any
+import tempfile
+from collections.abc import Iterator, Sequence
+from statistics import median
+from time import perf_counter, process_time
+from typing import NamedTuple
 
-from benchmarks import coordination, evaluation_speed, figure, measure, memory, single_run, startup
-from benchmarks.measure import Figure, machine, spread
+import numpy as np
+from benchmarks.single_run import run
 from rich.console import Console
+from rich.table import Table
 
-from qdgrasp_worker.platform import code_digest
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.genes import layout
+from qdgrasp_coordinator.scheduler.run_plan import full_spec
+from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
+from qdgrasp_worker.evaluator import Evaluator
 
-Part = Callable[[float], Iterable[Figure]]
-"""Takes the seconds for each line."""
-PARTS: dict[str, Part] = {
-    "evaluations": evaluation_speed.measure_evaluations,
-    "processes": evaluation_speed.measure_scaling,
-    "coverage": single_run.measure_growth,
-    "coordinator": coordination.measure_coordination,
-    "recorder": coordination.measure_recording,
-    "start-up": startup.measure,
-    "memory": memory.measure,
+ROUNDS = 5
+"""Times that each arm is measured, in turns."""
+PRIOR = "contact"
+SCENES = (
+    ("panda", "rubiks_cube"),
+    ("panda", "mug"),
+    ("robotiq_2f", "mug"),
+    ("barrett", "rubiks_cube"),
+    ("allegro", "rubiks_cube"),
+    ("shadow", "rubiks_cube"),
+)
+PROTOCOLS = (("paper", "bullet"), ("physical", "bullet"), ("physical", "mujoco"))
+SEARCHES = (DEFAULT_METHOD, "antipodal_rand", "contact_me_scs")
+COMMANDS = {
+    "qdgrasp --help": ["--help"],
+    "a run of four evaluations": ["run", "--object=mug", "--gripper=panda", "--evaluations=4", "--workers=1"],
 }
 
 
-def whole(found: dict[str, list[Figure]]) -> dict[str, Any]:
-    """All figures as plain values."""
-    return {
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "machine": machine(),
-        "code": code_digest(),
-        "parts": {name: [figure.as_dict() for figure in figures] for name, figures in found.items()},
-    }
+class Line(NamedTuple):
+    """A measured arm.
+
+    Attributes
+    ----------
+    name
+        The arm.
+    milliseconds
+        CPU milliseconds of one piece of its work in each round.
+    remark
+        What came of it.
+    """
+
+    name: str
+    milliseconds: Sequence[float]
+    remark: str = ""
 
 
-def shown(name: str, part: Iterable[Figure], console: Console) -> list[Figure]:
-    """Measure the figures of a part, and print progress."""
-    found = []
-    with console.status(name) as status:
-        for figure in part:
-            found.append(figure)
-            status.update(f"{name}: {figure.name} {spread(figure.rates or [figure.per_second])} a second")
-    return found
+def evaluations(rows: int) -> Iterator[Line]:
+    """Measure random genomes of the prior `contact` on each scene, in each protocol and engine."""
+    for gripper, thing in SCENES:
+        scenes = [
+            build_scene(RunSpec(gripper=gripper, object=thing, protocol=protocol, engine=engine))
+            for protocol, engine in PROTOCOLS
+        ]
+        evaluators = [Evaluator(scene) for scene in scenes]
+        times: list[list[float]] = [[] for _ in evaluators]
+        touched = [0] * len(evaluators)
+        random = np.random.default_rng(0)
+        for _ in range(ROUNDS):
+            genomes = random.uniform(-1, 1, (rows, len(layout(scenes[0], PRIOR)))).astype(np.float32)
+            for number, evaluator in enumerate(evaluators):
+                began = process_time()
+                found = evaluator.evaluate(PRIOR, genomes, np.zeros(rows, np.uint16)).rows
+                times[number].append(1000 * (process_time() - began) / rows)
+                touched[number] += int((found["outcome"] >= Outcome.DROPPED).sum())
+        for (protocol, engine), spent, touches in zip(PROTOCOLS, times, touched, strict=True):
+            remark = f"{touches / rows / ROUNDS:.0%} touch"
+            yield Line(f"an evaluation, {gripper} on {thing}, {protocol}, {engine}", spent, remark)
+        for evaluator in evaluators:
+            evaluator.close()
 
 
-def write(out: Path, found: dict[str, list[Figure]]) -> None:
-    """Write the figures so far: as JSON, as a page, and as a picture."""
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "bench.json").write_text(json.dumps(whole(found), indent=1) + "\n")
-    sections = [measure.markdown(name, figures) for name, figures in found.items()]
-    (out / "bench.md").write_text("\n\n".join(["# Measured costs", *sections]) + "\n")
-    if "evaluations" in found:
-        figure.draw(found["evaluations"]).write(out / figure.NAME)
+def searches(rows: int) -> Iterator[Line]:
+    """Measure whole runs without bus and recorder: the search's share, and the cells that hold."""
+    for name in SEARCHES:
+        whole, shares, cells = [], [], []
+        for seed in range(2):
+            values = {"gripper": "panda", "object": "mug", "method": name, "seed": seed, "engine": "mujoco"}
+            found = run(full_spec(values | {"protocol": "physical", "evaluations": 10 * rows}))
+            seconds = found.evaluation_seconds + found.search_seconds
+            whole.append(1000 * seconds / found.evaluations[-1])
+            shares.append(found.search_seconds / seconds)
+            cells.append(int(found.history.cells(Outcome.HELD).end) / seconds)
+        remark = f"{median(shares):.1%} in the search; {median(cells):.1f} cells that hold a CPU second"
+        yield Line(f"an evaluation of a run, panda on mug, {name}", whole, remark)
 
 
-def seconds(text: str) -> float:
-    """The time for a line [s] that an argument says."""
-    value = float(text)
-    if not 0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"must be greater than 0 and finite, got {text}")
-    return value
+def starts(_: int) -> Iterator[Line]:
+    """Measure commands from their start to their end, with all their processes."""
+    for name, arguments in COMMANDS.items():
+        spent, walls = [], []
+        for _round in range(3):
+            with tempfile.TemporaryDirectory() as folder:
+                before, began = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
+                line = [sys.executable, "-m", "qdgrasp", *arguments]
+                subprocess.run(line, cwd=folder, check=True, capture_output=True)
+                after = resource.getrusage(resource.RUSAGE_CHILDREN)
+                walls.append(perf_counter() - began)
+                spent.append(1000 * (after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime))
+        yield Line(name, spent, f"{median(walls):.2f} s of wall time")
+
+
+PARTS = {"evaluations": evaluations, "searches": searches, "starts": starts}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser = argparse.ArgumentParser("python -m benchmarks", description=__doc__)
     parser.add_argument("--only", action="append", choices=list(PARTS), help="a part; may be repeated")
-    parser.add_argument("--seconds", type=seconds, default=2.0, help="for each line (default: 2)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    parser.add_argument("--out", type=Path, help="folder for bench.json, bench.md and the figure")
+    parser.add_argument("--rows", type=int, default=100, help="evaluations of each arm in a round")
     asked = parser.parse_args()
-    console, found = Console(stderr=True, width=150, quiet=asked.json), {}
-    for name in asked.only or PARTS:
-        began = time.monotonic()
-        found[name] = shown(name, PARTS[name](asked.seconds), console)
-        console.print(measure.table(name, found[name]))
-        console.print(f"{time.monotonic() - began:.0f} s\n", style="dim")
-        if asked.out:
-            write(asked.out, found)
-    if asked.json:
-        sys.stdout.write(json.dumps(whole(found), indent=1) + "\n")
+    console = Console(width=140)
+    for part in asked.only or PARTS:
+        table = Table(
+            "what", "CPU ms", "fastest to slowest round", "remark", title=part, title_justify="left"
+        )
+        for line in PARTS[part](asked.rows):
+            spent = line.milliseconds
+            table.add_row(
+                line.name, f"{median(spent):.2f}", f"{min(spent):.2f} to {max(spent):.2f}", line.remark
+            )
+        console.print(table)
 
 
 if __name__ == "__main__":

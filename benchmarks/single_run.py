@@ -3,16 +3,16 @@
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from statistics import median
 from typing import Any
 
 import numpy as np
-from benchmarks.measure import Figure, Meter
 from numpy.typing import NDArray
 
-from qdgrasp_assets.catalog import build_scene, object_names
+from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
@@ -23,7 +23,7 @@ from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.registry import BuildSearch, method, prior_of
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
-from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.evaluator import Evaluator
 
 MILESTONES = (1000, 2000, 3000, 5000, 10_000, 20_000, 50_000)
@@ -85,6 +85,21 @@ class SingleRun:
             "evaluation_cpu_seconds": round(self.evaluation_seconds, 2),
             "search_microseconds_per_genome": round(1e6 * self.search_seconds / len(nominal), 1),
         }
+
+
+class Meter:
+    """Adds up CPU seconds of this process."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        began = time.process_time()
+        try:
+            yield
+        finally:
+            self.seconds += time.process_time() - began
 
 
 class TimedSearch:
@@ -171,45 +186,6 @@ def main() -> None:
     if asked.rows:
         np.save(asked.rows, found.rows)
     sys.stdout.write(json.dumps(found.as_dict()) + "\n")
-
-
-EVALUATIONS = 1000
-SEEDS = (0, 1)
-HAND, SCANNED, STAND_IN = "panda", "ycb_rubiks_cube", "rubiks_cube"
-ARMS: dict[str, dict[str, Any]] = {
-    DEFAULT_METHOD: {"method": DEFAULT_METHOD},
-    f"{DEFAULT_METHOD}, overlaps counted": {"method": DEFAULT_METHOD, "overlaps": "count"},
-    "contact_me_scs": {"method": "contact_me_scs"},
-    "antipodal_rand": {"method": "antipodal_rand"},
-}
-
-
-def measure_growth(seconds: float) -> list[Figure]:
-    """The lines of `make bench`; `seconds` plays no role: they take what the evaluations take."""
-    thing = SCANNED if SCANNED in object_names() else STAND_IN
-    found: dict[str, list[SingleRun]] = {name: [] for name in ARMS}
-    for seed in SEEDS:
-        for name, arm in ARMS.items():
-            values = {"gripper": HAND, "object": thing, "evaluations": EVALUATIONS, "seed": seed}
-            found[name].append(run(full_spec(values | arm)))
-    return [_figure(f"{HAND} on {thing}, {name}", runs) for name, runs in found.items()]
-
-
-def _figure(name: str, runs: list[SingleRun]) -> Figure:
-    cells = [int(run.history.cells().after([EVALUATIONS])[-1]) for run in runs]
-    seconds = [run.evaluation_seconds + run.search_seconds for run in runs]
-    covered = [100 * float(run.coverage([EVALUATIONS])[-1]) for run in runs]
-    rates = [share / taken for share, taken in zip(covered, seconds, strict=True)]
-    remark = f"cells; {_range(cells, 'd')} in {EVALUATIONS:,} evaluations and {median(seconds):.1f} s"
-    if covered[0] == covered[0]:
-        remark += f"; {_range(covered, '.2f')} % of S_G, {_range(rates, '.3f')} % a second"
-    each = tuple(count / taken for count, taken in zip(cells, seconds, strict=True))
-    return Figure(name, sum(cells), sum(seconds), "cpu", remark, each)
-
-
-def _range(values: list[Any], form: str) -> str:
-    low, high = format(min(values), form), format(max(values), form)
-    return low if low == high else f"{low} to {high}"
 
 
 if __name__ == "__main__":

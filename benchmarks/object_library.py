@@ -4,6 +4,7 @@ Meshes go into OUT/meshes, the manifest is OUT/library.csv, and OUT/broken.csv s
 Mesh i is a function of seed and i alone, so that a larger library begins with the smaller one.
 """
 
+import argparse
 import csv
 from collections.abc import Callable
 from pathlib import Path
@@ -157,3 +158,16 @@ def _write(path: Path, header: tuple[str, ...], rows: list[tuple[object, ...]]) 
         table = csv.writer(file, lineterminator="\n")
         table.writerow(header)
         table.writerows(rows)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser("python -m benchmarks.object_library", description=__doc__)
+    parser.add_argument("out", type=Path, help="a new folder")
+    parser.add_argument("--meshes", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    print(make_library(given.out, given.meshes, given.seed))
+
+
+if __name__ == "__main__":
+    main()
