@@ -92,7 +92,7 @@ def test_a_run_in_mujoco_is_carried_out_verified_and_exported(qdgrasp: Commands)
 
     said("run", *SCENE, *IN_MUJOCO, "--evaluations", 20, "--workers", 1, "--out", "run")
     with RunFolder.open(qdgrasp.home / "run").journal() as journal:
-        assert {"mujoco", "mujoco_code", "mujoco_probes"} <= journal.platform.keys()
+        assert {"mujoco", "mujoco_probes"} <= journal.platform.keys()
         assert not {"pybullet", "probes"} & journal.platform.keys()
     assert "this platform" in said("verify", "run", "--workers", 1)
     grasps = qdgrasp.home / "grasps.yaml"

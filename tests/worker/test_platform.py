@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from dataclasses import replace
 
 from tests.worker.genomes import evaluated, outcomes
 
@@ -12,25 +11,20 @@ from qdgrasp_protocol.engines import has_bullet
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker import platform as module
-from qdgrasp_worker import syntax_digest
-from qdgrasp_worker.evaluation_protocols import MIXTURE, PROTOCOLS, ROBUST
 from qdgrasp_worker.platform import (
-    code_digest,
-    evaluation_digest,
     physical_probe_digest,
     platform,
     probe_digest,
-    probe_scene,
     probes,
 )
 
 
 def test_the_platform_names_versions_and_digests_in_words():
     found = platform()
-    assert {"qdgrasp", "numpy", "code", "mujoco"} <= found.keys()
+    assert {"qdgrasp", "numpy", "evaluation", "mujoco"} <= found.keys()
     assert has_bullet() is ({"pybullet", "probes"} <= found.keys())
     assert all(isinstance(value, str) and value for value in found.values())
-    assert {len(found[name]) for name in ("code", "mujoco_code", "mujoco_probes")} == {64}
+    assert len(found["mujoco_probes"]) == 64
 
 
 WITHOUT_BULLET = """
@@ -59,18 +53,6 @@ def test_the_probes_of_mujoco_end_in_every_way_and_a_moved_one_changes_their_dig
     assert physical_probe_digest("mujoco") != digest
 
 
-def test_the_code_of_another_engine_is_none_of_bullets():
-    reached = {key.module for key in syntax_digest.reached(*module.EVALUATION)}
-    assert {"qdgrasp_worker.physical_episode", "qdgrasp_worker.engines.bullet_world"} <= reached
-    assert not any("mujoco" in name for name in reached)
-
-
-def test_the_probes_reach_every_phase_of_an_evaluation():
-    found = outcomes(evaluated(probe_scene(), "approach", probes()))
-    assert {Outcome.OVERLAP, Outcome.BRUSHED} <= set(found)
-    assert sum(outcome.is_grasp for outcome in found) >= 3
-
-
 def test_a_probe_that_fares_otherwise_changes_the_digest(monkeypatch):
     digest, moved = probe_digest(), probes()
     moved[0, 6] += 0.01
@@ -78,17 +60,3 @@ def test_a_probe_that_fares_otherwise_changes_the_digest(monkeypatch):
     assert probe_digest() != digest
     monkeypatch.undo()
     assert probe_digest() == digest
-
-
-def test_trials_that_are_drawn_otherwise_change_the_digest(monkeypatch):
-    digest, drawn_otherwise = probe_digest(), replace(MIXTURE, seed=1)
-    monkeypatch.setitem(PROTOCOLS, "robust", replace(ROBUST, mixture=drawn_otherwise))
-    assert probe_digest() != digest
-
-
-def test_code_that_gives_the_same_bits_is_named_by_the_first_that_did(monkeypatch):
-    monkeypatch.setattr(module, "FIRST_RECORDED_AS", {})
-    now = code_digest()
-    assert now == evaluation_digest()
-    monkeypatch.setattr(module, "FIRST_RECORDED_AS", {now: "ab" * 32})
-    assert code_digest() == platform()["code"] == "ab" * 32

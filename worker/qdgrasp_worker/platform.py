@@ -2,7 +2,6 @@
 
 import hashlib
 import platform as machine
-from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import version
 
@@ -17,31 +16,12 @@ from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_worker.device import DEVICE_MODULE, Device
-from qdgrasp_worker.engines import ENGINES, Engine
+from qdgrasp_worker.engines import ENGINES
 from qdgrasp_worker.evaluator import Evaluator, make_evaluator
-from qdgrasp_worker.syntax_digest import Key, syntax_digest
 
 
-def worlds(engine: Engine) -> list[Key]:
-    """The worlds of an engine."""
-    return [Key(engine.module, name) for name in engine.worlds]
-
-
-EVALUATION: tuple[Callable[..., object] | Key, ...] = (
-    Evaluator,
-    unpack_scene,
-    pack,
-    *worlds(ENGINES[DEFAULT_ENGINE]),
-)
-"""Entries of an evaluation: all code that decides its bits is reached from here."""
-VERSION_0_1_0 = "28952d4d6dbaa69bcbb06fd4298b21312af4a8b1420470aa487e7aaba85fde22"
-"""Digest that version 0.1.0 recorded: the sha256 over its files."""
-FIRST_RECORDED_AS = {"ec629a62bd41020a6ea4718a93ee6bdfa7ffbaff910c416c23932158670aaa51": VERSION_0_1_0}
-"""Digest of code, and of the first code that evaluated the same bit for bit.
-
-A platform names the first one, so that its recorded runs can be verified and resumed. An entry is made where
-the probes and the runs of tests/golden have the same digests as before.
-"""
+EVALUATION = 1
+"""Number of what an evaluation computes; raised when golden digests of rows change on purpose."""
 PROBES = 16
 LEAST_AGREEING = 14  # Probes that have the same outcome on a device as in MuJoCo, at least
 PROBE_GRASPS = 6
@@ -52,20 +32,19 @@ PHYSICAL_PROBES = slice(4, None)
 
 
 def platform(device: Device | None = None) -> dict[str, str]:
-    """Versions, the digest of the evaluation's code, and the digests of the probes' results.
+    """Versions, the number of the evaluation, and the digests of the probes' results.
 
     Entries of an engine concern its rows alone: `pybullet` and `probes`, which are absent where PyBullet is
-    not installed; `mujoco`, `mujoco_code` and `mujoco_probes`; and those of a device (`device_platform`).
+    not installed; `mujoco` and `mujoco_probes`; and those of a device (`device_platform`).
     """
     found = {name: version(name) for name in ("qdgrasp", "numpy", "scipy")}
-    found |= {"machine": machine.machine(), "code": code_digest()}
+    found |= {"machine": machine.machine(), "evaluation": str(EVALUATION)}
     if has_bullet():
         found |= {"pybullet": version("pybullet"), "probes": probe_digest()}
-    for name, engine in ENGINES.items():
+    for name in ENGINES:
         if name not in (DEFAULT_ENGINE, DEVICE_ENGINE):
             found |= {
                 name: version(ENGINE_PACKAGES[name]),
-                f"{name}_code": syntax_digest(*worlds(engine)),
                 f"{name}_probes": physical_probe_digest(name),
             }
     return found | (device_platform(device) if device else {})
@@ -82,7 +61,7 @@ class DeviceDiffers(QdgraspError):
 
 
 def device_platform(device: Device) -> dict[str, str]:
-    """Versions of warp and MuJoCo Warp, the device's name, and the digest of their code here.
+    """Versions of warp and MuJoCo Warp, and the device's name.
 
     An InputError if there is no such device; DeviceDiffers if it does not evaluate as MuJoCo does.
     """
@@ -95,18 +74,7 @@ def device_platform(device: Device) -> dict[str, str]:
         outcomes.append(evaluator.evaluate("approach", probes(), trials).rows["outcome"])
     if (same := int((outcomes[0] == outcomes[1]).sum())) < LEAST_AGREEING:
         raise DeviceDiffers(device, same)
-    return entries | {f"{DEVICE_ENGINE}_code": syntax_digest(Key(DEVICE_MODULE, "WarpEvaluator"))}
-
-
-def code_digest() -> str:
-    """The digest of the code of an evaluation, or of the first code that gave the same bits."""
-    found = evaluation_digest()
-    return FIRST_RECORDED_AS.get(found, found)
-
-
-def evaluation_digest() -> str:
-    """The digest of all present code of an evaluation (`syntax_digest`)."""
-    return syntax_digest(*EVALUATION)
+    return entries
 
 
 def probe_digest() -> str:
@@ -134,7 +102,7 @@ def result_digest(evaluator: Evaluator, genomes: NDArray[np.float32], trials: ND
 
 
 def probe_scene() -> Scene:
-    """The built-in Panda over the built-in tennis ball, with the columns of version 0.1.0."""
+    """The built-in Panda over the built-in tennis ball, without columns of contacts."""
     scene = build_scene(RunSpec(gripper="panda", object="tennis_ball", protocol="robust"))
     return msgspec.structs.replace(scene, contact_slots=0)
 

@@ -9,11 +9,11 @@ from qdgrasp_protocol.engines import DEVICE_ENGINE, ENGINE_PACKAGES, engine_name
 from qdgrasp_protocol.errors import Refused
 
 VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
-IN_MUJOCO = ("mujoco", "mujoco_code", "mujoco_probes")
+IN_MUJOCO = ("mujoco", "mujoco_probes")
 ENGINE_ENTRIES = {
     "bullet": ("pybullet", "probes"),
     "mujoco": IN_MUJOCO,
-    DEVICE_ENGINE: (DEVICE_ENGINE, f"{DEVICE_ENGINE}_code", "warp", "warp_device", *IN_MUJOCO),
+    DEVICE_ENGINE: (DEVICE_ENGINE, "warp", "warp_device", *IN_MUJOCO),
 }
 """Entries of a platform that concern the rows of an engine alone, first its version.
 

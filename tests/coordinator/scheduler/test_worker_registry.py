@@ -193,7 +193,7 @@ def test_all_else_is_compared_and_then_the_version_is_told_too(other: dict[str, 
         admit_platform(JOB_PLATFORM, JOB_PLATFORM | other | {"qdgrasp": "0.2.0"})
 
 
-IN_MUJOCO = {"mujoco": "4.0.1", "mujoco_code": "ef" * 32, "mujoco_probes": "01" * 32}
+IN_MUJOCO = {"mujoco": "4.0.1", "mujoco_probes": "01" * 32}
 IN_BULLET = {"pybullet": "3.2.7", "probes": "23" * 32}
 OF_ALL = {name: value for name, value in JOB_PLATFORM.items() if name not in IN_BULLET}
 

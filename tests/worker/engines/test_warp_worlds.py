@@ -64,18 +64,6 @@ def test_a_row_has_the_same_bits_in_any_batch(evaluator, found):
     assert alone.tobytes() == found[:1].tobytes()
 
 
-def test_trials_differ_by_their_friction(evaluator, scene):
-    robust = build_scene(
-        RunSpec(
-            gripper="panda", object="tennis_ball", protocol="robust", base="physical", engine="mujoco-warp"
-        )
-    )
-    trials = np.arange(PROBES, dtype=np.uint16)
-    expected = Evaluator(robust).evaluate("approach", probes(), trials).rows
-    rows = warp_worlds.WarpEvaluator(robust, DEVICE).evaluate("approach", probes(), trials).rows
-    assert (rows["outcome"] == expected["outcome"]).sum() >= PROBES - 2
-
-
 def test_rows_that_overflow_the_buffers_are_those_of_mujoco(scene):
     def small(simulation, buffers: BufferSizes):
         return warp_worlds.WarpWorlds(simulation, buffers._replace(constraints=8), DEVICE)
@@ -85,17 +73,6 @@ def test_rows_that_overflow_the_buffers_are_those_of_mujoco(scene):
     found = evaluator.evaluate("approach", probes()[:4], NOMINAL[:4]).rows
     assert (expected["outcome"] == Outcome.HELD).all()
     assert evaluator.redone == 4
-    assert found.tobytes() == expected.tobytes()
-
-
-def test_worlds_of_which_too_many_shapes_come_near_are_not_trusted(scene):
-    def tiny(simulation, buffers: BufferSizes):
-        return warp_worlds.WarpWorlds(simulation, buffers._replace(contacts=1), DEVICE)
-
-    evaluator = LockstepEvaluator(scene, tiny)
-    found = evaluator.evaluate("approach", probes()[:4], NOMINAL[:4]).rows
-    assert evaluator.redone == 4
-    expected = Evaluator(scene).evaluate("approach", probes()[:4], NOMINAL[:4]).rows
     assert found.tobytes() == expected.tobytes()
 
 
@@ -110,7 +87,7 @@ def test_too_little_memory_is_told_with_fewer_worlds(evaluator, monkeypatch):
 
 def test_the_platform_names_the_device_and_its_code():
     found = platform(DEVICE)
-    assert {"mujoco-warp", "mujoco-warp_code", "warp", "warp_device", "mujoco_code"} <= found.keys()
+    assert {"mujoco-warp", "warp", "warp_device", "mujoco"} <= found.keys()
     assert (found["warp_device"] == "CPU") == (DEVICE.name == "cpu")
     assert platform().items() < found.items()
 

@@ -21,11 +21,6 @@ class Engine(NamedTuple):
     physical_world: str
     """Class of the world of `physical` and `lift`, and of trials of `physical`."""
 
-    @property
-    def worlds(self) -> list[str]:
-        """The classes of its worlds."""
-        return [name for name in (self.shaken_world, self.physical_world) if name]
-
 
 MUJOCO_WORLDS = "qdgrasp_worker.engines.mujoco_world"
 ENGINES = {

@@ -26,7 +26,7 @@ from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, disturbance_c
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.evaluator import REASON_LENGTH, ROWS_AT_ONCE, BatchEvaluator, Evaluation, row_refusals
 from qdgrasp_worker.filters.table_filter import TableFilter
-from qdgrasp_worker.platform import code_digest
+from qdgrasp_worker.platform import EVALUATION
 from qdgrasp_worker.runtime.evaluator_api import EvaluatorFactory, EvaluatorFn, Hands
 from qdgrasp_worker.runtime.simulator_main import main as serve
 
@@ -147,10 +147,10 @@ def _module_from_file(path: Path) -> ModuleType:
 
 
 def custom_platform(what: str, file: Path) -> dict[str, str]:
-    """All that decides the bits of results: the evaluator's file, and the decoding code."""
+    """All that decides the bits of results: the evaluator's file, and the number of the evaluation, for decoding."""
     return {name: version(name) for name in ("qdgrasp", "numpy", "scipy")} | {
         "machine": machine.machine(),
-        "code": code_digest(),
+        "evaluation": str(EVALUATION),
         "evaluator": what.rpartition(":")[2],
         "evaluator_file": hashlib.sha256(file.read_bytes()).hexdigest(),
     }
