@@ -22,7 +22,6 @@ T = TypeVar("T")
 NEAR = (-1.0, -0.5)
 """Genes nu and d of genomes that look straight at the surface from near by."""
 HANDS = ["panda", "barrett", "allegro", "shadow", "robotiq_2f"]
-REFERENCE = [f"ref_{name}" for name in ("panda_2f", "bh280", "allegro", "shadow", "robotiq_2f")]
 LOOSENESS, CANDIDATES, WEIGHTS = 7, 8, slice(9, 15)
 """Genes of the prior aimed."""
 RANKED_BY = {prior: slice(9, 9 + genes) for prior, genes in RANKING_GENES.items()}

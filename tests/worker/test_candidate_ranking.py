@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.worker.genomes import CANDIDATES, RANKED_BY, above, decoded, encoded, facing, outcomes
+from tests.worker.genomes import RANKED_BY, above, decoded, encoded, facing
 
-from qdgrasp_assets.genes import GRIP_FEATURES, TOUCH_VALUE, layout
-from qdgrasp_protocol.rows import RESULT, Outcome
+from qdgrasp_assets.genes import GRIP_FEATURES, TOUCH_VALUE
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.candidate_ranking import RANKINGS, PoseFeatures
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.evaluator import Evaluator
@@ -93,36 +93,10 @@ def test_the_best_candidate_that_promises_enough_and_does_not_overlap_is_simulat
     assert refused
 
 
-def test_a_row_says_of_its_pose_what_the_pose_alone_does(evaluator, rows):
-    is_pose = rows["outcome"] != Outcome.DEAD_END
-    alone = rows_of(evaluator, "given", rows["base_to_object"][is_pose])
-    for name in POSE:
-        assert alone[name].tobytes() == rows[name][is_pose].tobytes(), name
-
-
 def test_proposals_are_the_candidates_within_the_stand_off_and_one_at_least(rows, candidates):
     counts = np.bincount(candidates[1], minlength=N)
     np.testing.assert_array_equal(rows["proposals"], np.maximum(counts, 1))
     assert 1 < counts.mean() < 12
-
-
-def test_features_are_those_of_simulated_poses_and_end_with_the_constant(rows):
-    simulated = np.array([outcome.is_simulated for outcome in outcomes(rows)])
-    features = rows["descriptor"][:, 3:]
-    assert not features[~simulated].any()
-    assert (features[simulated, -1] == 1.0).all()
-    assert np.abs(features).max() <= 1.0 + 1e-6
-    assert (~simulated).any()
-    assert simulated.sum() > N / 2
-
-
-@pytest.mark.parametrize(("prior", "weights"), [("aimed", [0] * 6), ("valued", [0] * 6 + [3] * 6 + [0])])
-def test_a_genome_without_weights_is_ranked_by_what_is_swept_from_opposite_sides(prior, weights):
-    features = np.array(
-        [[0.9, 0.2, 1, 1, 1, 1], [0.5, 0.4, 0, 0, 0, 1], [0.5, 0.5, -1, 0, -1, 1]], np.float32
-    )
-    scores = RANKINGS[prior].scores(features, np.tile(np.array(weights, float), (3, 1)))
-    assert scores.tolist() == pytest.approx([0.425, 0.525, 0.625])
 
 
 def test_a_value_is_that_of_the_formula_rounded_and_demanded_where_the_last_gene_is_above_zero():
@@ -141,27 +115,6 @@ def test_a_value_is_that_of_the_formula_rounded_and_demanded_where_the_last_gene
     np.testing.assert_array_equal(ranking.thresholds(weights), expected)
 
 
-def test_weights_decide_and_the_constant_changes_nothing():
-    candidate_scores = RANKINGS["aimed"].scores
-    features = np.random.default_rng(0).uniform(-1, 1, (20, 6)).astype(np.float32)
-    features[:, 5] = 1.0
-    weights = np.tile([0.0, 0.0, -2.0, 0.0, 1.0, 0.0], (20, 1))
-    order = candidate_scores(features, weights).argsort()
-    np.testing.assert_array_equal(order, (features[:, 4] - 2.0 * features[:, 2]).argsort())
-    weights[:, 5] = 3.0
-    np.testing.assert_array_equal(candidate_scores(features, weights).argsort(), order)
-
-
-def test_one_candidate_is_simulated_as_it_is_drawn(scene, evaluator):
-    genomes = encoded(scene, facing(scene, N, candidates=1, seed=5))
-    rows = rows_of(evaluator, "aimed", genomes)
-    grasps = decoded(scene, "aimed", genomes)
-    np.testing.assert_array_equal(rows["descriptor"][:, :3], grasps.positions)
-    np.testing.assert_array_equal(rows["outcome"] == Outcome.DEAD_END, grasps.dead_ends)
-    assert (rows["proposals"] == 1).all()
-    assert (rows["outcome"] == Outcome.OVERLAP).any()
-
-
 def test_a_trial_disturbs_the_pose_that_was_taken_at_first(evaluator, prior, rows, genomes):
     found = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)[:6]
     assert len(found) == 6
@@ -171,21 +124,6 @@ def test_a_trial_disturbs_the_pose_that_was_taken_at_first(evaluator, prior, row
         alone = rows_of(evaluator, "given", rows["base_to_object"][found], trial)
         for name in POSE:
             assert alone[name].tobytes() == again[name].tobytes(), name
-
-
-def test_a_genome_that_is_not_finite_fails_alone(evaluator, prior, genomes, rows):
-    broken = genomes[:4].copy()
-    broken[1, 0], broken[2, CANDIDATES] = np.nan, np.inf
-    evaluation = evaluator.evaluate(prior, broken, np.zeros(4, dtype=np.uint16))
-    assert [place for place, _ in evaluation.failures] == [1, 2]
-    for column in RESULT:
-        np.testing.assert_array_equal(evaluation.rows[column.name][[0, 3]], rows[column.name][[0, 3]])
-
-
-def test_genes_far_beyond_their_intervals_are_dead_ends(evaluator, prior, scene):
-    genomes = np.full((2, len(layout(scene, prior))), 1e30, dtype=np.float32)
-    genomes[1] *= -1
-    assert (rows_of(evaluator, prior, genomes)["outcome"] == Outcome.DEAD_END).all()
 
 
 @pytest.fixture(scope="module")
@@ -209,20 +147,3 @@ def test_two_fingers_before_opposite_sides_are_more_square_than_before_edges(gri
     for name in ("squareness", "alignment"):
         assert 0.3 < edgewise[name][0] < square[name][0] - 0.1
     assert square["opposition"][0] > 0.5
-
-
-def test_the_lever_is_how_far_the_line_between_the_fingers_passes_the_centre_of_mass(grip, scene):
-    aside = np.array([0.005, 0.01, 0.015])
-    lever = grip({}, *({"aside": way} for way in aside))["lever"] * ObjectSolid(scene).radius
-    np.testing.assert_allclose(np.sqrt(lever[1:] ** 2 - lever[0] ** 2), aside, atol=0.003)
-    assert lever[0] < 0.02  # above it: the hand does not reach the middle of the cube's height
-
-
-def test_a_hand_farther_off_grips_with_its_tips_alone(grip):
-    depth = grip({}, {"height": 0.115})["depth"]
-    assert 0 < depth[1] < depth[0] - 0.1 < 0.9
-
-
-def test_of_a_hand_far_away_all_of_it_is_zero(grip):
-    found = grip({"height": 3.0})
-    assert {name: float(column[0]) for name, column in found.items() if column[0]} == {}

@@ -148,16 +148,6 @@ class TestCone:
         np.testing.assert_allclose(difference, 0.0, atol=2e-6)
 
 
-def test_contact_with_nu_up_to_nu_a_is_approach(cube):
-    approach = draw(300)
-    approach[:, 3] = np.round(approach[:, 3] * 64) / 64  # so that the gene below is exact
-    contact = approach.copy()
-    contact[:, 3] = (approach[:, 3] + 1) / 4 - 1
-    one, other = decoder_of(cube, "approach")(approach), decoder_of(cube, "contact")(contact)
-    for name in ("positions", "quaternions", "surface_points", "nu"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
 def test_a_given_pose_that_was_stored_is_decoded_to_its_own_bits(cube):
     stored = decoder_of(cube, "contact")(draw(300))
     again = decoder_of(cube, "given")(np.concatenate([stored.positions, stored.quaternions], axis=1))
@@ -165,11 +155,6 @@ def test_a_given_pose_that_was_stored_is_decoded_to_its_own_bits(cube):
     assert again.quaternions.tobytes() == stored.quaternions.tobytes()
     assert not again.surface_points.any()
     assert not again.nu.any()
-
-
-def test_a_given_quaternion_of_another_length_is_brought_to_one(cube):
-    pose = np.array([[0, 0, 0.2, 0, 0, 3, 4]], dtype=np.float32)
-    np.testing.assert_allclose(decoder_of(cube, "given")(pose).quaternions, [[0, 0, 0.6, 0.8]], atol=1e-7)
 
 
 def test_the_synergy_gene_is_rounded_to_a_label_with_half_the_room_for_the_outer_ones(cube):
@@ -191,16 +176,6 @@ def test_free_joints_stand_at_their_genes_and_the_others_stay_open(cube):
     assert joints[:2, 1].tolist() == np.float32([0.03, 0.01]).tolist()
     np.testing.assert_allclose(joints[:, 1], 0.02 - 0.01 * genomes[:, 7], atol=1e-8)
     assert set(joints[:, 0].tolist()) == {float(np.float32(0.04))}
-
-
-def test_given_poses_bring_their_label_and_free_joints_as_they_are(cube):
-    free = FreeJoint(name=FINGERS[0], low=0.0, high=0.04)
-    synergies = (Synergy(name="both", joints=FINGERS), Synergy(name="left", joints=FINGERS[:1]))
-    decoder = decoder_of(with_gripper(cube, free_joints=(free,), synergies=synergies), "given")
-    poses = np.array([[0, 0, 0.2, 0, 0, 0, 1, 1, 0.015], [0, 0, 0.2, 0, 0, 0, 1, -1, 0.03]], dtype=np.float32)
-    grasps = decoder(poses)
-    assert grasps.synergies.tolist() == [1, NO_SYNERGY]
-    np.testing.assert_array_equal(grasps.joints[:, 0], poses[:, 8])
 
 
 def test_an_unknown_prior_is_named_with_the_known_ones(cube):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.worker.filters.test_table_filter import ABOVE_IT, UNDER
-from tests.worker.genomes import elsewhere, evaluated, outcomes, results
-from tests.worker.replay.recorded_evaluations import RecordedEvaluation, request
+from tests.worker.genomes import evaluated, outcomes, results
 from tests.worker.test_physical_episode import ABOVE, physical
 
 from qdgrasp_assets.scene import Scene
@@ -17,9 +16,7 @@ from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_protocol.spec import run_spec
 from qdgrasp_worker.engines import make_world
-from qdgrasp_worker.evaluation_protocols import LIFT, PHYSICAL, TrialSetup
-from qdgrasp_worker.evaluator import make_episode
-from qdgrasp_worker.replay.replay import EpisodeReplay
+from qdgrasp_worker.evaluation_protocols import LIFT, TrialSetup
 
 ENGINES = [None, "mujoco"]
 
@@ -54,15 +51,6 @@ def test_a_cube_is_lifted_from_above_and_no_hand_comes_from_below(scene):
     assert rows["contacts"][0] == 2
 
 
-def test_it_is_lifted_from_each_side_that_it_rests_on_alike(scene):
-    """The cube with a hand that comes from what is up then is ever the same scene."""
-    lying = lifting(scene.engine, resting_pose=5)
-    assert lying.resting_poses[0].up == (0.0, 0.0, -1.0)
-    one, other = (evaluated(*each)[0] for each in ((scene, GIVEN, ABOVE_IT), (lying, GIVEN, UNDER)))
-    assert one["outcome"] == other["outcome"] == Outcome.HELD
-    assert one["joints"] == pytest.approx(other["joints"], abs=1e-4)
-
-
 @pytest.mark.parametrize("engine", ENGINES)
 def test_what_is_too_heavy_or_too_slippery_stays_on_the_table(engine):
     grip, weight = 2 * 35.0 * 0.5, 9.81 + LIFT.lift.acceleration
@@ -92,17 +80,6 @@ def test_an_object_that_the_hand_does_not_hold_stays_on_the_table_as_that_goes_d
     assert fallen == pytest.approx(LIFT.lift.height, abs=2e-3)
 
 
-def test_the_hand_goes_up_by_the_height_without_a_jump():
-    lift = LIFT.lift
-    ways = np.array([lift.way(seconds) for seconds in np.linspace(0, lift.seconds, 1001)])
-    steps = np.diff(ways) / (lift.seconds / 1000)
-    assert ways[0] == 0.0
-    assert ways[-1] == lift.height
-    assert (np.diff(ways) >= 0).all()
-    assert steps.max() == pytest.approx(lift.speed)
-    assert np.abs(np.diff(steps[: np.searchsorted(ways, lift.height) - 1])).max() < 0.01
-
-
 def never(*_: object) -> bool:
     return False
 
@@ -112,41 +89,6 @@ def test_lifting_ends_early_only_where_it_would_end_so_anyway(scene, monkeypatch
     rows = evaluated(scene, GIVEN, genomes)
     monkeypatch.setattr("qdgrasp_worker.physical_episode.LiftEpisode._ends_early", never)
     assert results(evaluated(scene, GIVEN, genomes)) == results(rows)
-
-
-class TestResults:
-    genomes = hands_above(40, seed=3)
-
-    def test_they_depend_on_scene_and_genome_alone(self, scene):
-        scene = lifting(scene.engine, mass=1.8)
-        rows = evaluated(scene, GIVEN, self.genomes)
-        expected = {Outcome.OVERLAP, Outcome.DROPPED, Outcome.HELD}
-        assert expected <= set(outcomes(rows)), "genomes were to get everywhere"
-        again = evaluated(scene, GIVEN, self.genomes[::-1], batch=7)[::-1]
-        assert results(again) == results(rows)
-        assert results(evaluated(scene, GIVEN, self.genomes, shortcuts=False)) == results(rows)
-        assert results(elsewhere(evaluated, scene, GIVEN, self.genomes)) == results(rows)
-
-    def test_beside_physical_they_are_the_same_again(self, scene):
-        other = physical(scene.engine)
-        alone = evaluated(other, GIVEN, self.genomes[:10])
-        rows = evaluated(scene, GIVEN, self.genomes[:10])
-        assert results(evaluated(other, GIVEN, self.genomes[:10])) == results(alone)
-        assert results(evaluated(scene, GIVEN, self.genomes[:10])) == results(rows)
-
-    def test_a_replay_comes_to_the_same_verdict_and_shows_the_lift(self, scene):
-        rows = evaluated(lifting(scene.engine, mass=1.8), GIVEN, self.genomes)
-        found = RecordedEvaluation(lifting(scene.engine, mass=1.8), rows)
-        for each in sorted({*outcomes(found.rows)}):
-            row = found.one(each)
-            replay = EpisodeReplay(found.scene, request(row))
-            assert (replay.verdict.outcome, replay.verdict.fitness) == (each, row["fitness"])
-            assert np.array(replay.verdict.joints, np.float32).tobytes() == row["joints"].tobytes()
-        phases = [
-            snapshot.phase
-            for snapshot in EpisodeReplay(found.scene, request(found.one(Outcome.HELD))).snapshots
-        ]
-        assert [*dict.fromkeys(phases)] == ["placed", "closing", "settling", "lift"]
 
 
 def test_it_needs_one_resting_pose():
@@ -161,9 +103,3 @@ def test_it_needs_one_resting_pose():
         run_spec(asked | {"engine": "mujoco-warp", "approach_distance": 0.0})
     with pytest.raises(AssetError, match="one resting pose"):
         make_world(msgspec.structs.replace(physical(protocol="lift"), resting_poses=()), LIFT)
-
-
-def test_the_way_to_the_table_and_the_settings_of_physical_are_shared():
-    assert LIFT.physics == PHYSICAL.physics
-    with closing(make_world(lifting(None), LIFT)) as world:
-        assert make_episode(world, LIFT).disturbances == 1

@@ -17,7 +17,6 @@ from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import APPROACH_STEP, EpisodeResult, approach_path
 from qdgrasp_worker.evaluation_protocols import (
-    PAPER,
     PHYSICAL,
     PROTOCOLS,
     ROBUST_BY_BASE,
@@ -30,8 +29,6 @@ SIDE = radians(27.0)  # The direction of one of the cube's sides
 HALF_TURN = (SIDE + radians(90.0)) / 2
 ABOVE = HandPose([0.0, 0.0, 0.1], [cos(HALF_TURN), sin(HALF_TURN), 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
 """The Panda over the cube, its fingers at two sides."""
-LIMIT_TOLERANCE = 2e-3  # How far preload may push a joint past a limit at rest [m or rad]
-FINGER_TOLERANCE = 1e-3  # How deep fingers that rest on each other may be inside each other [m]
 HANDS = ("panda", "robotiq_2f", "allegro", "barrett", "shadow")
 
 
@@ -66,43 +63,6 @@ def test_a_jaw_centres_what_it_holds(scene):
     verdict = judged(scene, aside)
     assert verdict.outcome == Outcome.HELD
     assert verdict.joints[0] == pytest.approx(verdict.joints[1], abs=1e-3)
-
-
-@pytest.mark.parametrize("hand", HANDS)
-def test_a_hand_that_closes_on_nothing_keeps_its_limits_and_its_fingers_apart(hand, make_scene):
-    scene = make_scene(hand, "rubiks_cube", "physical")
-    with closing(make_world(scene, PHYSICAL)) as world:
-        end = np.array(world.closing(world.opened, NO_SYNERGY)[-1])
-        limits = [world._bullet.links(world._hand.body)[joint][4:6] for joint in world._hand.fingers]
-        low, high = np.array(limits).T
-        assert (end >= low - LIMIT_TOLERANCE).all()
-        assert (end <= high + LIMIT_TOLERANCE).all()
-        itself = world._bullet.contacts(world._hand.body, world._hand.body)
-        assert all(contact.distance > -FINGER_TOLERANCE for contact in itself)
-        driven = [joint.opened != joint.closed for joint in scene.gripper.joints]
-        assert (end != np.array(world.opened))[driven].all()
-
-
-def test_fingers_that_meet_touch_each_other_and_not_the_object():
-    with closing(make_world(physical(), PHYSICAL)) as world:
-        world.closing([0.04, 0.04], NO_SYNERGY)
-        assert world._bullet.contacts(world._hand.body, world._hand.body)
-        assert world.contacts() == []
-
-
-def test_links_that_pass_through_each_other_do_not_depend_on_the_worlds_before(make_scene, monkeypatch):
-    passing = []
-    from qdgrasp_worker.engines.bullet import Bullet
-
-    monkeypatch.setattr(Bullet, "pass_through", lambda _, body, *links: passing.append((body, *links)))
-    found = []
-    for protocol in (PAPER, PHYSICAL):
-        with closing(make_world(make_scene("barrett", "rubiks_cube", protocol.name), protocol)) as before:
-            before.closing(before.opened, NO_SYNERGY)
-        passing.clear()
-        make_world(make_scene("barrett", "rubiks_cube", "physical"), PHYSICAL).close()
-        found.append([*passing])
-    assert found[0] == found[1] != []
 
 
 class TestResults:
@@ -250,18 +210,3 @@ def test_a_base_without_trials_is_refused_in_one_sentence(protocol):
 def test_a_scene_of_an_unknown_base_is_refused(scene):
     with pytest.raises(UnknownName, match="base"):
         Evaluator(msgspec.structs.replace(scene, protocol="robust", base="other"))
-
-
-def test_another_engine_than_bullet_is_refused_to_the_authors_code():
-    with pytest.raises(InputError, match=r"'released' repeats the authors' code, which is Bullet's"):
-        run_spec({"gripper": "panda", "object": "mug", "engine": "mujoco", "protocol": "released"})
-
-
-def test_bullet_named_is_bullet_not_named():
-    values = {"gripper": "panda", "object": "mug", "protocol": "physical"}
-    assert run_spec(values | {"engine": "bullet"}) == run_spec(values)
-
-
-def test_a_scene_of_an_unknown_engine_is_refused(scene):
-    with pytest.raises(UnknownName, match="engine"):
-        Evaluator(msgspec.structs.replace(scene, engine="other"))

@@ -2,23 +2,20 @@
 
 from math import dist
 
-import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.worker.genomes import draw, evaluated, results
+from tests.worker.genomes import draw, evaluated
 
-from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.rotation import rotate
 from qdgrasp_assets.geometry.voxels import Hull
 from qdgrasp_assets.grippers.hand_geometry import hand_geometry
-from qdgrasp_protocol.rows import CONTACT_VALUES, RESULT, Outcome
+from qdgrasp_protocol.rows import CONTACT_VALUES, Outcome
 from qdgrasp_worker.evaluator import spread_contacts
 from qdgrasp_worker.object_geometry import ObjectSolid
 from qdgrasp_worker.world import GraspContact
 
 N = 60
-NEW = [column.name for column in RESULT if column.name in ("settled", "contact_links", "contact_points")]
 
 
 @pytest.fixture(scope="module")
@@ -62,30 +59,6 @@ def test_contacts_lie_on_the_object_and_on_the_link_that_they_name(recorded_cube
             assert outside(hand.hulls[name], in_link) < 2e-3
     assert seen == set(recorded_cube.gripper.finger_links)
     assert (successes["contact_points"].reshape(len(successes), -1, CONTACT_VALUES)[..., 6].sum(1) > 1).any()
-
-
-def test_contacts_lie_on_an_object_that_still_moved_in_the_last_step(make_scene):
-    scene = make_scene("barrett", "rubiks_cube", "paper")
-    genomes = draw(30, len(layout(scene, "approach")), near=30)
-    rows, hulls = evaluated(scene, "approach", genomes), ObjectSolid(scene).hulls
-    points = [
-        values[:3].astype(np.float64)
-        for row in rows
-        for link, values in zip(
-            row["contact_links"], row["contact_points"].reshape(-1, CONTACT_VALUES), strict=True
-        )
-        if link
-    ]
-    assert len(points) > 50
-    assert max(outside(hulls, point) for point in points) < 1.1e-3  # Bullet's margin, and float16
-
-
-def test_what_is_no_success_has_neither_and_the_other_columns_do_not_depend_on_them(cube, rows):
-    misses = rows[rows["outcome"] < Outcome.DROPPED]
-    assert len(misses) > 5
-    assert not any(misses[name].any() for name in NEW)
-    plain = evaluated(msgspec.structs.replace(cube, contact_slots=0), "approach", draw(N, near=40))
-    assert results(plain, *NEW) == results(rows, *NEW)
 
 
 def test_of_many_contacts_those_far_from_each_other_are_kept_with_all_of_the_force():

@@ -3,18 +3,16 @@
 from contextlib import closing
 from functools import partial
 
-import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.worker.genomes import above, decoded, draw, side_of
 
 from qdgrasp_assets.genes import layout
-from qdgrasp_assets.geometry.voxels import VoxelGrid
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.object_geometry import SurfaceSample
-from qdgrasp_worker.swept_volume import SweptVolumes, measure_swept_volume
+from qdgrasp_worker.swept_volume import SweptVolumes
 
 TIP = np.array([0.0, 0.0, 0.1])
 """Between the tips of the Panda's fingers, hand frame [m]."""
@@ -55,17 +53,6 @@ def seen(grasps, i, points):
     return turn.apply(points) + grasps.positions[i]
 
 
-def test_what_is_in_it_is_more_than_what_is_so_from_opposite_sides_and_nothing_is_far_away(
-    volumes, grasps, hand_scene
-):
-    found = shares(volumes, grasps, hand_scene.surface_points)
-    assert (found[:, 1] <= found[:, 0]).all()
-    assert (found[:, 1] > 0).any()
-    assert (found[:, 0] > 0).mean() > 0.3
-    assert found.max() <= 1.0
-    assert not shares(volumes, grasps, hand_scene.surface_points + 3.0).any()
-
-
 def test_what_is_in_it_moves_with_the_hand(volumes, grasps, around):
     """Points that stand alike before every hand are alike in its volume, if hands close alike."""
     alike = np.flatnonzero(grasps.synergies == grasps.synergies[0])
@@ -75,42 +62,6 @@ def test_what_is_in_it_moves_with_the_hand(volumes, grasps, around):
     ]
     assert found[0][0] > 5 / len(around)
     np.testing.assert_allclose(found, np.tile(found[0], (len(found), 1)), atol=2 / len(around))
-
-
-def test_a_share_does_not_depend_on_the_batch(volumes, grasps, hand_scene):
-    together = shares(volumes, grasps, hand_scene.surface_points)
-    points = hand_scene.surface_points.astype(np.float32)
-    for i in range(0, len(grasps), 7):
-        np.testing.assert_array_equal(volumes.shares(points, grasps, np.array([i]))[0], together[i])
-
-
-def test_it_is_measured_once_for_each_way_of_closing(volumes, grasps, hand_scene, monkeypatch):
-    shares(volumes, grasps, hand_scene.surface_points)
-    monkeypatch.setattr(volumes, "_closing", None)  # to call it would fail
-    shares(volumes, grasps, hand_scene.surface_points)
-    synergies, places = len(hand_scene.gripper.synergies) or 1, 5 ** len(hand_scene.gripper.free_joints)
-    assert 1 <= len(volumes._found) <= synergies * places
-    assert sum(volume.voxels.levels.nbytes for volume in volumes._found.values()) < 50e6
-
-
-def test_scenes_with_one_hand_share_its_volumes_and_those_with_another_do_not(make_scene, monkeypatch):
-    marked = []
-    monkeypatch.setattr(VoxelGrid, "mark", lambda *_: marked.append(1))
-    measure_swept_volume.cache_clear()
-    cube, mug = (make_scene("panda", target, "paper") for target in ("rubiks_cube", "mug"))
-    longer = msgspec.structs.replace(cube.gripper, palm_offset=cube.gripper.palm_offset + 0.01)
-    course = [[0.04 - 0.001 * step] * 2 for step in range(40)]
-    found, counts = [], []
-    for gripper in (cube.gripper, mug.gripper, longer):
-        volumes = SweptVolumes(gripper, lambda *_: course)
-        found.append(volumes._measure(NO_SYNERGY, np.array([], dtype=np.int64)))
-        counts.append(len(marked))
-    other = SweptVolumes(mug.gripper, lambda *_: course[::-1])
-    found.append(other._measure(NO_SYNERGY, np.array([], dtype=np.int64)))
-    measure_swept_volume.cache_clear()  # nothing was marked in these
-    assert found[0] is found[1]
-    assert len({id(each) for each in found}) == 3
-    assert counts[0] == counts[1] < counts[2]
 
 
 def test_the_pandas_fingers_pass_between_their_open_places_and_not_behind_the_palm(make_scene):
@@ -134,11 +85,6 @@ def test_the_pandas_fingers_pass_between_their_open_places_and_not_behind_the_pa
 FINGERS = {"panda": 2, "barrett": 3, "allegro": 4, "shadow": 5}
 
 
-@pytest.mark.parametrize("hand", FINGERS)
-def test_a_hand_has_so_many_fingers(hand, make_scene):
-    assert SweptVolumes(make_scene(hand, "tennis_ball", "paper").gripper, None).finger_count == FINGERS[hand]
-
-
 @pytest.fixture(scope="module")
 def contacts(volumes, grasps, hand_scene):
     return volumes.first_contacts(SurfaceSample(hand_scene), grasps, np.arange(len(grasps)))
@@ -160,14 +106,6 @@ def test_fingers_meet_a_ball_on_its_surface_and_mostly_come_from_without(contact
     assert strokes.max() <= 1
     for column in (contacts.points, contacts.normals, contacts.ways, contacts.strokes):
         assert not column[~contacts.meets].any()
-
-
-def test_first_contacts_do_not_depend_on_the_batch(volumes, grasps, hand_scene, contacts):
-    sample = SurfaceSample(hand_scene)
-    for i in range(0, len(grasps), 7):
-        alone = volumes.first_contacts(sample, grasps, np.array([i]))
-        for name, column in vars(alone).items():
-            assert column[0].tobytes() == getattr(contacts, name)[i].tobytes(), name
 
 
 def test_the_pandas_fingers_meet_opposite_faces_of_a_cube_between_them(make_scene):

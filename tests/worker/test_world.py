@@ -4,13 +4,11 @@ import ctypes
 import os
 import tempfile
 
-import msgspec
 import numpy as np
 import pytest
 from tests.common import with_gripper
 
 from qdgrasp_assets.catalog import GRIPPERS
-from qdgrasp_assets.scene import Synergy
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
@@ -67,48 +65,6 @@ def test_in_paper_every_empty_hand_shakes_as_the_panda_is_tabled(gripper, make_s
     world.close()
 
 
-def test_an_object_that_nothing_reaches_keeps_its_place_to_the_bit(world):
-    world.reset(FAR, world.opened)
-    assert world.finger_positions() == [0.04, 0.04]
-    close_hand(world)
-    for shake in SHAKES:
-        shaken(world, shake)
-    bullet, body = world._bullet, world._target.body
-    assert bullet.position(body) == (0.0, 0.0, 0.0)
-    assert bullet.velocity(body) == (0.0, 0.0, 0.0)
-    assert not world.is_touching()
-
-
-def test_the_course_of_a_closing_hand_is_the_same_whatever_was_before(world):
-    course = world.closing([0.04, 0.03], NO_SYNERGY)
-    assert len(course) == CLOSING_STEPS + 1
-    np.testing.assert_allclose(course[0], [0.04, 0.03])
-    np.testing.assert_allclose(course[-1], 0.0, atol=1e-3)
-    world.reset(FAR, [0.01, 0.01])
-    world.shake_to(0.2, SHAKES[0])
-    close_hand(world)
-    assert world.closing([0.04, 0.03], NO_SYNERGY) == course
-
-
-def test_a_synergy_closes_its_own_joints_and_the_others_stay_open(cube):
-    synergies = (Synergy(name="left", joints=(LEFT,)), Synergy(name="right", joints=(RIGHT,)))
-    world = BulletShakenWorld(with_gripper(cube, synergies=synergies))
-    for synergy, expected in ((0, [0.0, 0.04]), (1, [0.04, 0.0]), (NO_SYNERGY, [0.0, 0.0])):
-        world.reset(FAR, world.opened)
-        close_hand(world, synergy)
-        np.testing.assert_allclose(world.finger_positions(), expected, atol=1e-4)
-    world.close()
-
-
-def test_a_joint_that_nothing_drives_stays_where_it_was_put(cube):
-    joints = tuple(msgspec.structs.replace(joint, driven=joint.name == LEFT) for joint in cube.gripper.joints)
-    world = BulletShakenWorld(with_gripper(cube, joints=joints))
-    world.reset(FAR, [0.04, 0.013])
-    close_hand(world)
-    np.testing.assert_allclose(world.finger_positions(), [0.0, 0.013], atol=1e-4)
-    world.close()
-
-
 def test_a_reset_world_has_forgotten_contacts_motors_and_motion(world):
     touching = HandPose([0.0, 0.0, 0.13], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
 
@@ -150,12 +106,6 @@ def test_a_hand_that_cannot_be_loaded_is_an_asset_error(change, message, cube, c
     assert capfd.readouterr().out == ""
 
 
-def test_a_joint_that_is_not_there_is_an_asset_error(cube):
-    joints = (msgspec.structs.replace(cube.gripper.joints[0], name="thumb"),)
-    with pytest.raises(AssetError, match=r"no joint 'thumb'. It has: panda_finger_joint1"):
-        BulletShakenWorld(with_gripper(cube, joints=joints))
-
-
 def test_what_c_prints_meanwhile_is_not_seen_even_if_it_is_written_late(capfd):
     with quiet():
         ctypes.CDLL(None).printf(b"from C, buffered\n")
@@ -165,20 +115,3 @@ def test_what_c_prints_meanwhile_is_not_seen_even_if_it_is_written_late(capfd):
     seen = capfd.readouterr()
     assert seen.out == ""
     assert seen.err == ""
-
-
-def test_what_is_printed_before_and_after_is_seen(capfd):
-    print("before")  # noqa: T201
-    with quiet():
-        os.write(1, b"meanwhile")
-    os.write(1, b"after\n")
-    assert capfd.readouterr().out == "before\nafter\n"
-
-
-def test_streams_come_back_after_an_exception(capfd):
-    try:
-        with quiet():
-            raise ValueError
-    except ValueError:
-        os.write(1, b"here")
-    assert capfd.readouterr().out == "here"

@@ -12,16 +12,12 @@ from tests.worker.genomes import draw
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol import extras
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec
-from qdgrasp_worker.device import CPU_WORLDS, Device
-from qdgrasp_worker.engines.lockstep import BufferSizes, FingerControls, displacement
-from qdgrasp_worker.engines.lockstep_evaluator import BUFFER_FACTOR, LEAST_BUFFERS, LockstepEvaluator
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.engines.lockstep import FingerControls
+from qdgrasp_worker.engines.lockstep_evaluator import LockstepEvaluator
 from qdgrasp_worker.evaluator import Evaluator, make_evaluator
 from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
-from qdgrasp_worker.platform import probes
 
 JOINTS, WORLDS, LOOKS = 3, 4, 5
 NUMBERS = st.floats(-2.0, 2.0)
@@ -67,14 +63,6 @@ def test_the_control_of_many_worlds_is_the_control_of_each(data, is_coupled):
     assert together.targets.tolist() == [control.targets for control in alone]
 
 
-def test_a_small_turn_is_measured_in_float32_too():
-    for angle in (1e-3, 3e-4, 3e-5):
-        turned = np.array([[0.6 * np.sin(angle / 2), 0.8 * np.sin(angle / 2), 0.0, np.cos(angle / 2)]])
-        turned = turned.astype(np.float32).astype(np.float64)
-        still = np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]])
-        assert displacement(still, (still[0], turned))[1] == pytest.approx(angle, rel=1e-4)
-
-
 def physical(hand: str = "panda", target: str = "rubiks_cube", protocol: str = "physical") -> Scene:
     base = "physical" if protocol == "robust" else "paper"
     return build_scene(
@@ -106,20 +94,6 @@ def test_rows_in_lockstep_are_those_of_one_by_one(scene, prior):
     assert evaluator.redone == 0
 
 
-def test_a_batch_moves_each_world_as_long_as_it_needs():
-    evaluator, genomes = LockstepEvaluator(physical(target="tennis_ball"), LoopedWorlds), probes()
-    trials = np.zeros(len(genomes), dtype=np.uint16)
-
-    def moved(chosen) -> int:
-        before = evaluator._fixed.moved + evaluator._free.moved
-        evaluator.evaluate("approach", chosen, trials[: len(chosen)])
-        return evaluator._fixed.moved + evaluator._free.moved - before
-
-    alone = [moved(genome[None]) for genome in genomes]
-    assert len({*alone}) > 3
-    assert moved(genomes) == sum(alone)
-
-
 def test_rows_whose_worlds_overflow_are_evaluated_in_mujoco():
     scene, genomes = physical(protocol="robust"), draw(12, near=12)
     trials = np.arange(1, 13, dtype=np.uint16)
@@ -134,33 +108,6 @@ def test_rows_whose_worlds_overflow_are_evaluated_in_mujoco():
     assert 0 < evaluator.redone < 12
 
 
-def test_a_row_that_cannot_be_evaluated_fails_alone():
-    scene, genomes = physical(), draw(3, near=3)
-    genomes[1, 0] = np.nan
-    found = LockstepEvaluator(scene, LoopedWorlds).evaluate("approach", genomes, np.zeros(3, np.uint16))
-    assert [(row, "finite" in reason) for row, reason in found.failures] == [(1, True)]
-    assert (found.rows["outcome"][[0, 2]] != Outcome.ERROR).all()
-
-
-def test_buffers_are_measured_for_a_scene_and_hold_twice_what_is_used():
-    objects = "mug", "mug", "banana"
-    found = [LockstepEvaluator(physical(target=name), LoopedWorlds).buffers for name in objects]
-    assert found[0] == found[1] != found[2]
-    for buffers in found:
-        assert buffers >= BufferSizes(*(BUFFER_FACTOR * least for least in LEAST_BUFFERS))
-        assert all(size & (size - 1) == 0 for size in buffers)
-
-
 def test_a_worker_without_a_device_refuses_such_a_scene():
     with pytest.raises(InputError, match="no device for the engine mujoco-warp: start it as qdgrasp-worker"):
         make_evaluator(physical())
-
-
-def test_a_device_needs_its_packages_and_has_worlds_that_fill_it(monkeypatch):
-    monkeypatch.setattr(extras, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"cuda needs mujoco_warp, .*`pip install 'qdgrasp\[gpu\]'`"):
-        Device.find("cuda")
-    monkeypatch.setattr(extras, "find_spec", lambda name: name)
-    assert Device.find("cuda:1") == ("cuda:1", MAX_POPULATION)
-    assert Device.find("cpu") == ("cpu", CPU_WORLDS)
-    assert Device.find("cpu", 3).worlds == 3

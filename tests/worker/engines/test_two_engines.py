@@ -1,16 +1,13 @@
 """Scenes of two engines: grasps that hold in the first are tried in the second."""
 
-import msgspec
 import numpy as np
 import pytest
 from tests.worker.genomes import encoded, evaluated, facing, outcomes, results
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.scene import Scene, pack_scene
-from qdgrasp_protocol.engines import engine_names
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import GIVEN, Outcome
-from qdgrasp_protocol.spec import RunSpec, from_toml, run_spec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.episode import outcome_of
 
 ORDERS = ("bullet,mujoco", "mujoco,bullet")
@@ -44,13 +41,6 @@ def test_what_holds_in_the_first_engine_has_the_verdict_of_the_second(order, fri
     assert (Outcome.DROPPED in expected) == (friction == SLIPPERY)
 
 
-def test_an_evaluation_in_two_engines_forgets():
-    asked = scene("mujoco,bullet")
-    genomes = encoded(asked, facing(asked, POSES, candidates=16))
-    whole = evaluated(asked, "aimed", genomes)
-    assert results(evaluated(asked, "aimed", genomes[::-1].copy(), batch=3)[::-1]) == results(whole)
-
-
 def test_a_trial_is_passed_where_both_engines_hold():
     more = {"protocol": "robust", "base": "physical"}
     asked = scene("mujoco,bullet", **more)
@@ -64,21 +54,3 @@ def test_a_trial_is_passed_where_both_engines_hold():
     np.testing.assert_array_equal(both["outcome"] == Outcome.HELD, held[0] & held[1])
     np.testing.assert_array_equal(both["fitness"], np.where(held[0], each[1]["fitness"], each[0]["fitness"]))
     assert held[0].sum() > held[1].sum()
-
-
-@pytest.mark.parametrize(
-    "engine", ["bullet,bullet", "mujoco,mujoco", "bullet,other", "bullet,mujoco,bullet", ""]
-)
-def test_what_names_no_engines_is_refused_with_what_does(engine):
-    with pytest.raises(InputError, match=r"engine must be one of .*'bullet,mujoco', 'mujoco,bullet', got"):
-        run_spec(HAND | {"engine": engine})
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_the_order_of_engines_is_part_of_spec_and_scene(order):
-    spec = run_spec(HAND | {"engine": order})
-    assert from_toml(to_toml(spec)) == spec
-    assert spec.protocol_words == f"physical in {' then '.join(engine_names(order))}"
-    others = [None, "mujoco", *ORDERS]
-    digests = {pack_scene(msgspec.structs.replace(scene(order), engine=name)).digest for name in others}
-    assert len(digests) == len(others)

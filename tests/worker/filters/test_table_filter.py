@@ -1,7 +1,5 @@
 """Which hands cannot come to their pose: below a table, or through the object; in every engine."""
 
-from contextlib import closing
-
 import msgspec
 import numpy as np
 import pytest
@@ -13,9 +11,6 @@ from qdgrasp_assets.geometry.mesh import Mesh, parts_to_obj
 from qdgrasp_assets.geometry.primitives import box
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import GIVEN, Outcome
-from qdgrasp_worker.engines import make_world
-from qdgrasp_worker.evaluation_protocols import TrialSetup, scene_protocol
-from qdgrasp_worker.evaluator import make_episode
 
 ENGINES = [None, "mujoco"]
 
@@ -77,22 +72,3 @@ def test_what_is_blocked_changes_no_other_result_and_nothing_depends_on_order_or
     blocked = (rows["outcome"] == Outcome.OVERLAP) & (free["outcome"] != Outcome.OVERLAP)
     assert 0 < blocked.sum() < len(rows)
     assert results(rows[~blocked]) == results(free[~blocked])
-
-
-def test_a_way_is_looked_at_to_its_end():
-    """The bar is met from the distance on at which the palm is, and no nearer."""
-    scene = with_parts(physical(), box((0.05, 0.05, 0.05)), bar(0.0, 0.0, 0.19))
-    protocol = scene_protocol(scene)
-    with closing(make_world(scene, protocol)) as world:
-        episode = make_episode(world, protocol)
-        met = [episode.meets_on_way(TrialSetup(ABOVE, clear_way=way / 1000)) for way in range(4, 104, 4)]
-    assert not met[0]
-    assert met[-1]
-    assert met == sorted(met)
-
-
-def test_a_scene_that_asks_for_neither_keeps_its_protocol():
-    scene = physical()
-    assert scene_protocol(scene).trial(ABOVE, 0) == TrialSetup(ABOVE)
-    way = scene_protocol(msgspec.structs.replace(scene, approach_distance=0.1)).trial(ABOVE, 0)
-    assert way == TrialSetup(ABOVE, clear_way=0.1)

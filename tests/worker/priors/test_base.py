@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.worker.genomes import draw
 
-from qdgrasp_assets.genes import spherical_radius
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.object_geometry import ObjectSurface
 
@@ -27,19 +26,8 @@ def test_the_hand_stands_at_its_radius_longitude_and_colatitude(decoder):
     np.testing.assert_allclose(np.abs(round_about)[far & (np.hypot(x, y) > 0.01)], 0, atol=1e-5)
 
 
-def test_the_genes_reach_from_the_centre_of_mass_to_the_search_radius(decoder, cube):
-    ends = np.array([[-1, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 0]], dtype=np.float32)
-    distances = np.linalg.norm(decoder(ends).positions, axis=1)
-    np.testing.assert_allclose(distances, [0.0, spherical_radius(cube)], atol=1e-7)
-
-
 def test_the_hand_is_turned_about_the_fixed_axes_x_y_and_z(decoder):
     angles = decoder.layout.values(GENOMES)[:, 3:]
     expected = Rotation.from_euler("xyz", angles)
     found = Rotation.from_quat(decoder(GENOMES).quaternions)
     np.testing.assert_allclose((expected.inv() * found).magnitude(), 0, atol=2e-6)
-
-
-def test_it_aims_at_nothing(decoder):
-    found = decoder(GENOMES)
-    assert not any(column.any() for column in (found.surface_points, found.nu, found.dead_ends))

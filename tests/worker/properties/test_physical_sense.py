@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from itertools import repeat
 
 import numpy as np
-import pybullet
 import pytest
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
@@ -12,12 +11,12 @@ from tests.common import with_gripper
 from tests.worker.genomes import decoded, draw
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines import bullet_world
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.episode import ShakenEpisode
-from qdgrasp_worker.evaluation_protocols import PAPER, ROBUST, TrialSetup
+from qdgrasp_worker.evaluation_protocols import PAPER, TrialSetup
 from qdgrasp_worker.world import AWAY_POSITION, STILL, UPRIGHT
 
 POSES = 120
@@ -135,35 +134,3 @@ def test_a_grasp_on_a_sphere_keeps_its_verdict_when_the_sphere_turns(ball, on_ba
     poses, verdicts = on_ball
     world = TurnedWorld(ball, iter(turns.as_quat().tolist()))
     assert agreement(outcomes(world, poses), verdicts) >= AGREEMENT
-
-
-def test_a_grasp_on_a_sphere_keeps_its_verdict_when_hand_and_sphere_turn_together(ball, on_ball, turns):
-    # Those that differ are lost or slip: Bullet's friction acts along two directions that it derives from the
-    # axes of the world (docs/decisions/0006-evaluation-semantics.md).
-    poses, verdicts = on_ball
-    turned = [turned_pose(pose, turn) for pose, turn in zip(poses, turns, strict=True)]
-    assert agreement(outcomes(BulletShakenWorld(ball), turned), verdicts) >= AGREEMENT
-
-
-def turned_pose(pose: HandPose, turn: Rotation) -> HandPose:
-    """A pose that turns about the origin with everything else, in float32."""
-    position = turn.apply(pose.position).astype(np.float32)
-    quaternion = (turn * Rotation.from_quat(pose.quaternion)).as_quat().astype(np.float32)
-    return HandPose(position.tolist(), quaternion.tolist(), pose.joints, pose.synergy)
-
-
-@pytest.mark.parametrize("gripper", ["panda", "barrett"])
-@pytest.mark.parametrize("trial", [0, 1, 100])
-def test_an_object_that_no_finger_reaches_ends_where_it_began_to_the_bit(gripper, trial, make_scene):
-    scene = make_scene(gripper, "mug", "robust")
-    world = BulletShakenWorld(scene)
-    directions = Rotation.random(12, random_state=5)
-    for direction, turn in zip(directions, Rotation.random(12, random_state=6), strict=True):
-        position = direction.apply([0.0, 0.0, 0.6]).astype(np.float32).tolist()
-        pose = HandPose(position, turn.as_quat().astype(np.float32).tolist(), world.opened, NO_SYNERGY)
-        for stops_early in (True, False):
-            episode = ShakenEpisode(world, ROBUST, stops_early=stops_early)
-            assert episode.run(ROBUST.trial(pose, trial)).outcome == Outcome.MISSED
-            place = pybullet.getBasePositionAndOrientation(world._target.body, world._bullet._client)
-            assert place == (tuple(STILL), tuple(UPRIGHT))
-    world.close()

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.worker.genomes import draw, elsewhere, evaluated, results
+from tests.worker.genomes import draw, evaluated, results
 
 from qdgrasp_protocol.rows import TRIALS, Outcome
 from qdgrasp_worker.evaluation_protocols import MIXTURE, PROTOCOLS, ROBUST
@@ -66,26 +66,6 @@ def test_without_noise_a_hundred_trials_add_up_to_a_hundred_times_the_nominal_fi
     assert results(again) == results(np.repeat(chosen, TRIALS))
 
 
-def test_the_sample_has_trials_of_every_kind(mixed, rows):
-    outcomes = rows["outcome"][mixed[1] > 0]
-    assert (outcomes == Outcome.OVERLAP).sum() >= 5
-    assert (outcomes == Outcome.BRUSHED).sum() >= 5
-    assert (outcomes >= Outcome.SHAKEN).sum() >= 20
-
-
-def test_a_trial_says_the_commanded_pose_and_what_it_found(mixed, rows):
-    first = rows[mixed[1] == 0]
-    for name in ("descriptor", "base_to_object", "surface_point", "nu"):
-        np.testing.assert_array_equal(rows[name], np.repeat(first[name], 5, axis=0))
-    held = rows[(mixed[1] == 1) & (rows["outcome"] == Outcome.HELD)]
-    before = first[rows["outcome"][mixed[1] == 1] == Outcome.HELD]
-    assert (held["joints"] != before["joints"]).any(axis=1).all()
-
-
-def test_an_overlap_that_the_noise_causes_counts_nothing(rows):
-    assert not rows["fitness"][rows["outcome"] == Outcome.OVERLAP].any()
-
-
 @pytest.mark.parametrize(
     ("places", "batch"),
     [
@@ -100,16 +80,6 @@ def test_the_other_rows_of_a_batch_and_their_order_change_no_byte(scene, mixed, 
     assert results(evaluated(scene, "approach", genomes, trials, batch=batch)) == results(rows[places])
 
 
-def test_another_process_finds_the_same(scene, mixed, rows):
-    assert results(elsewhere(evaluated, scene, "approach", *mixed)) == results(rows)
-
-
 def test_a_stored_pose_that_is_scored_as_given_meets_the_same_trials(scene, mixed, rows):
     again = evaluated(scene, "given", rows["base_to_object"], mixed[1])
     assert results(again, "surface_point", "nu") == results(rows, "surface_point", "nu")
-
-
-def test_noise_makes_most_grasps_worse_and_some_fail(mixed, rows):
-    trials = rows["fitness"].reshape(-1, 5)
-    assert trials[:, 1:].mean() < trials[:, 0].mean()
-    assert len(np.unique(trials[trials[:, 0] == 2][:, 1:])) == 3

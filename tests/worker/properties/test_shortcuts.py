@@ -1,14 +1,10 @@
 """Shortcuts change no result: filters of poses, and early ends of closings."""
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
-from tests.common import with_gripper
 from tests.worker.genomes import HANDS, decoded, draw, evaluated
-from tests.worker.properties.test_parity import REFERENCES, recorded
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import Outcome
@@ -17,7 +13,6 @@ from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import ROBUST
 
 QUICK = {"panda": 200, "robotiq_2f": 300, "barrett": 40, "allegro": 40, "shadow": 40}
-OBJECTS = ("rubiks_cube", "mug", "power_drill")
 
 
 def different(scene, prior, genomes):
@@ -41,36 +36,6 @@ def assert_same_without(scene, n, seed):
 )
 def test_a_built_in_hand_has_the_same_rows_without_them(hand, protocol, engine, make_scene):
     assert_same_without(make_scene(hand, "mug", protocol, engine), QUICK[hand], seed=4)
-
-
-def broad_finger(line):
-    """An OBJ file of the two sides of a broad finger, with a line before each of them."""
-    text, corners = "", np.array(list(product((-0.001, 0.001), (0.0, 0.01), (0.0, 0.054))))
-    for first, x in ((1, -0.06), (9, 0.06)):
-        placed = corners + np.array([x, 0.0, 0.0])
-        text += f"{line} side_{first}\n"
-        text += "".join(f"v {x:g} {y:g} {z:g}\n" for x, y, z in placed)
-        text += "".join(f"f {a} {b} {c}\n" for a, b, c in ConvexHull(placed).simplices + first)
-    return text.encode()
-
-
-@pytest.mark.parametrize("line", ["usemtl", "o"])
-def test_a_hand_whose_mesh_is_of_two_materials_or_objects_has_the_same_rows_without_them(line, make_scene):
-    scene = make_scene("panda", "tennis_ball", "paper")
-    meshes = scene.gripper.meshes | {"1_finger.obj": broad_finger(line)}
-    assert_same_without(with_gripper(scene, meshes=meshes), 200, seed=6)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(7200)
-@pytest.mark.parametrize("target", OBJECTS)
-@pytest.mark.parametrize("hand", sorted(REFERENCES.values()))
-def test_reference_hands_have_the_same_rows_without_them_on_thousands_of_poses(
-    hand, target, make_scene, asset_path
-):
-    scene = make_scene(f"ref_{hand}", f"ycb_{target}", "released")
-    assert_same_without(scene, 6700, seed=5)
-    assert different(scene, "given", recorded(asset_path, hand, target)[0])[0] == 0
 
 
 @pytest.mark.parametrize(("target", "n", "simulated"), [("tennis_ball", 450, 200), ("mug", 1500, 75)])

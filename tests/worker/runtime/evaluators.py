@@ -1,7 +1,5 @@
 """Evaluators as a user writes them, in a file of their own."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from qdgrasp_assets.scene import Scene
@@ -31,16 +29,6 @@ class Squeamish(Height):
         if (hands.base_to_object[:, 0] > 0).any():
             raise ValueError("not there")
         return super().__call__(hands)
-
-
-@dataclass
-class Wrong:
-    """Gives impossible verdicts."""
-
-    verdicts: Verdicts
-
-    def __call__(self, hands: Hands) -> Verdicts:
-        return self.verdicts
 
 
 def nested() -> type:

@@ -13,7 +13,7 @@ from qdgrasp_assets.asset_paths import UNFINISHED
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_worker.runtime import background_requests
-from qdgrasp_worker.runtime.background_requests import MAX_SCENES, SceneAnswered, SceneCache, SceneStore
+from qdgrasp_worker.runtime.background_requests import SceneAnswered, SceneCache, SceneStore
 
 SCENE = b"a scene"
 
@@ -30,15 +30,6 @@ def keep(folder: Path, payload: bytes, used: int) -> str:
     (folder / digest).write_bytes(payload)
     os.utime(folder / digest, ns=(used, used))
     return digest
-
-
-def test_a_full_disk_costs_no_scene_and_keeps_no_draft(office, tmp_path, monkeypatch):
-    def full(self: Path, target: Path) -> Path:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "replace", full)
-    assert SceneStore(tmp_path).bundle(office.bus, "job", office.digest) == SCENE
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_scenes_that_were_used_long_ago_make_room_for_others(office, tmp_path, monkeypatch):
@@ -65,14 +56,3 @@ def test_a_scene_is_looked_for_once_and_again_only_where_it_was_not_found():
     scenes.on_answer(SceneAnswered("job", "a", b"a scene"))
     assert scenes.has_or_request("job", "a")
     assert scenes.pop("a") == b"a scene"
-
-
-def test_of_scenes_that_nobody_takes_the_last_are_kept_and_the_others_looked_for_again():
-    requests = Mock()
-    scenes = SceneCache(requests)
-    names = [str(number) for number in range(100)]
-    for name in names:
-        scenes.has_or_request("job", name)
-        scenes.on_answer(SceneAnswered("job", name, b"a scene"))
-    assert [name for name in names if scenes.has_or_request("job", name)] == names[-MAX_SCENES:]
-    assert requests.fetch.call_args_list[100:] == [call("job", name) for name in names[:-MAX_SCENES]]

@@ -42,22 +42,3 @@ def test_a_batch_whose_only_row_ends_every_simulator_is_answered_without_columns
     result = task.result("a" * 32, bytes(32))
     assert [failure.reason for failure in result.failures] == ["one"]
     assert result.columns == {}
-
-
-def test_a_batch_that_cannot_be_evaluated_is_answered_with_every_row_failed(task):
-    task.add(part(2))
-    task.fail_all("not a scene: " + "é" * 500)
-    result = task.result("a" * 32, bytes(32))
-    assert [failure.row for failure in result.failures] == [0, 1, 2, 3, 4]
-    assert messages.decode(messages.encode(result), Result) == result
-
-
-def test_the_pace_is_that_of_the_present_simulator(task):
-    task.begin(0.0)
-    task.add(part(3))
-    assert task.seconds_left(6.0) == pytest.approx(4.0)
-    task.on_crash("one")
-    task.begin(10.0)
-    assert task.seconds_left(11.0) == pytest.approx(1.0)  # none of its rows is known
-    task.add(part(1))
-    assert task.seconds_left(13.0) == pytest.approx(3.0)

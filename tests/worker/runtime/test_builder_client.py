@@ -88,14 +88,6 @@ def test_files_that_cannot_be_fetched_are_no_evidence_against_the_object(mesh: P
     assert not ended.is_final
 
 
-def test_a_builder_of_another_version_is_no_evidence_against_the_object(mesh: Path) -> None:
-    with serving(mesh) as (client, news):
-        client.start(JOB, build_of(mesh, code="0" * 64))
-        ended = news.get(timeout=PATIENCE)
-    assert "by another version of qdgrasp" in ended.reason
-    assert not ended.is_final
-
-
 def test_a_mesh_that_cannot_be_used_is_final(tmp_path: Path) -> None:
     flat = tmp_path / "flat.stl"
     trimesh.Trimesh([(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)], [(0, 1, 2)]).export(flat)
@@ -107,30 +99,12 @@ def test_a_mesh_that_cannot_be_used_is_final(tmp_path: Path) -> None:
     assert str(tmp_path) not in ended.reason
 
 
-def test_a_build_that_was_stopped_is_not_reported_as_the_one_that_follows(mesh: Path) -> None:
-    first, second = build_of(mesh), build_of(mesh)
-    with serving(mesh) as (client, news):
-        client.start(JOB, first)
-        client.stop()
-        assert client.build is None
-        client.start(JOB, second)
-        taken = [client.on_ended(news.get(timeout=PATIENCE)) for _ in range(2)]
-    assert sorted(taken) == [False, True]
-
-
 def test_a_builder_that_is_killed_ends_its_build_with_the_signal(mesh, monkeypatch) -> None:
     monkeypatch.setattr(builder_client, "BUILDER", ["sh", "-c", "kill -9 $$"])
     with serving(mesh) as (client, news):
         client.start(JOB, build_of(mesh))
         ended = news.get(timeout=PATIENCE)
     assert (ended.reason, ended.is_final) == ("it was ended by SIGKILL", False)
-
-
-def test_a_shape_that_no_message_can_carry_is_final(mesh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(builder_client, "MOST_PIECES", 0)
-    answer = BuildEnded(JOB, build_of(mesh), b"a shape").message("a" * 32, bytes(32))
-    assert (answer.pieces, answer.is_final) == ((), True)
-    assert "larger than" in answer.reason
 
 
 def test_stopping_ends_the_process(mesh: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """A user's evaluator in the simulator's place."""
 
-import socket
 import sys
 from pathlib import Path
 
@@ -8,18 +7,16 @@ import numpy as np
 import pytest
 from tests.worker.genomes import draw
 from tests.worker.runtime import evaluators
-from tests.worker.runtime.evaluators import Height, Squeamish, Wrong
+from tests.worker.runtime.evaluators import Height, Squeamish
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Outcome, RowShape, pack
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.device import Device
-from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluator
+from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.runtime import simulator_supervisor
 from qdgrasp_worker.runtime.custom_evaluator import CustomEvaluator, custom_platform, load_evaluator
 from qdgrasp_worker.runtime.evaluator_api import BadVerdict, Hands, Verdicts
-from qdgrasp_worker.runtime.simulator_main import WORK_COLUMNS, SimulatorMain
-from qdgrasp_worker.runtime.simulator_messages import EvaluateRows, FramedSocket
 
 HERE = Path(evaluators.__file__)
 
@@ -85,18 +82,6 @@ def test_trials_show_the_hand_as_the_object_is_disturbed(make_scene) -> None:
     assert len(np.unique(evaluators.ASKED[0].frictions, axis=0)) == 3
 
 
-def test_a_genome_without_a_pose_is_not_shown_to_anybody(make_scene) -> None:
-    genomes = draw(30, genes=4)
-    rows = (
-        CustomEvaluator(make_scene("panda", "mug", "paper"), Height)
-        .evaluate("antipodal", genomes, np.zeros(30, np.uint16))
-        .rows
-    )
-    dead = np.count_nonzero(rows["outcome"] == Outcome.DEAD_END)
-    assert 0 < dead < 30
-    assert sum(map(len, evaluators.ASKED)) == 30 - dead
-
-
 def test_a_prior_whose_candidates_only_the_simulator_chooses_among_is_refused(cube: Scene) -> None:
     with pytest.raises(InputError, match="take a method with another prior"):
         CustomEvaluator(cube, Height).shape("aimed")
@@ -116,53 +101,6 @@ def test_a_prior_whose_candidates_only_the_simulator_chooses_among_is_refused(cu
 def test_what_is_no_verdict_is_said_to_be_none(verdicts: Verdicts, words: str) -> None:
     with pytest.raises(BadVerdict, match=words):
         verdicts.columns(hands(2), 2)
-
-
-@pytest.mark.parametrize(("protocol", "held"), [("robust", 2), ("physical", 6)])
-def test_a_hand_that_holds_survives_all_disturbances_of_the_protocol(make_scene, protocol, held) -> None:
-    own = CustomEvaluator(make_scene("panda", "rubiks_cube", protocol), Height)
-    rows = own.evaluate("approach", draw(40), np.zeros(40, np.uint16)).rows
-    assert set(rows["fitness"].tolist()) == {0, held}
-    assert ((rows["fitness"] > 0) == (rows["outcome"] == Outcome.HELD)).all()
-    graded = Verdicts(np.array([Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD]))
-    assert graded.columns(hands(3), held)["fitness"].tolist() == [0, 1, held]
-
-
-def test_a_row_that_is_refused_holds_zeros(cube: Scene) -> None:
-    genomes = draw(2)
-    genomes[0] = np.nan
-    found = CustomEvaluator(cube, Height).evaluate("approach", genomes, np.zeros(2, np.uint16))
-    assert [place for place, _ in found.failures] == [0]
-    assert found.rows["proposals"].tolist() == [0, 1]
-
-
-@pytest.mark.parametrize(("at_once", "pieces"), [(25, [25, 25, 10]), (ROWS_AT_ONCE, [16, 16, 16, 12])])
-def test_a_judge_is_shown_as_many_hands_at_once_as_it_wants(cube, at_once, pieces, monkeypatch) -> None:
-    if at_once != ROWS_AT_ONCE:  # where it says nothing
-        monkeypatch.setattr(Height, "at_once", at_once, raising=False)
-    ours, its = socket.socketpair()
-    genomes = draw(60)
-    rows = RowShape(7, 2).empty(len(genomes))
-    rows["genome"] = genomes
-    request = EvaluateRows(
-        scene="0" * 64,
-        bundle=b"",
-        prior="approach",
-        n=len(rows),
-        genes=7,
-        columns=pack(rows, WORK_COLUMNS),
-        is_careful=False,
-    )
-    with ours, its:
-        SimulatorMain(FramedSocket(its), 60.0, lambda _: CustomEvaluator(cube, Height)).evaluate(request)
-    assert [len(hands) for hands in evaluators.ASKED] == pieces
-
-
-def test_every_row_of_a_bad_verdict_fails_with_the_reason(cube: Scene) -> None:
-    wrong = CustomEvaluator(cube, lambda _: Wrong(Verdicts(np.full(3, 7))))
-    found = wrong.evaluate("approach", draw(4), np.zeros(4, np.uint16))
-    assert [place for place, _ in found.failures] == [0, 1, 2, 3]
-    assert found.failures[0][1].startswith("BadVerdict: outcomes must be numbers")
 
 
 def test_an_evaluator_is_found_in_a_file_and_in_a_module() -> None:

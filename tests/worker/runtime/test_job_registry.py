@@ -35,24 +35,10 @@ def session() -> JobSession:
     return session
 
 
-def test_batches_are_served_in_the_order_they_came(session):
-    assert session.accept(work(1))
-    assert session.accept(work(2))
-    assert session.begin().batch == work(1).batch
-    session.release(work(1).batch)
-    assert session.begin().batch == work(2).batch
-
-
 def test_work_that_arrives_before_the_answer_to_its_join_is_kept_out_of_older_epochs():
     session = JobSession("job")
     session.ask(2)
     assert not session.accept(work(1))
-
-
-def test_work_of_an_older_join_is_dropped(session):
-    join(session, answer())
-    assert not session.accept(work(1, join=1))
-    assert session.accept(work(1, join=2))
 
 
 def test_what_is_held_at_a_join_is_kept_unless_the_coordinator_takes_it_back(session):
@@ -69,12 +55,6 @@ def test_a_new_epoch_ends_everything_older(session):
     assert join(session, answer(epoch=2))
     assert session.held == []
     assert not session.accept(work(3, epoch=1, join=2))
-
-
-def test_an_older_coordinator_is_not_served_again(session):
-    join(session, answer(epoch=5))
-    assert not join(session, answer(epoch=4))
-    assert session.epoch == 5
 
 
 def test_a_job_that_begins_anew_after_its_coordinator_left_is_served(session):
@@ -125,24 +105,6 @@ def member() -> Iterator[Membership]:
         yield member
 
 
-def test_a_worker_says_how_many_rows_its_device_evaluates_at_once(member):
-    member.jobs = JobRegistry(member.bus, member.requests, "a" * 32, None, rows=64, key=KEY)
-    member.meet("job", 1, 0.0)
-    member.join("job", 1, 0.0)
-    (asked,) = [call.args[1] for call in member.requests.join.call_args_list]
-    assert asked.rows == 64
-
-
-def test_a_thousand_jobs_that_ended_leave_nothing_behind(member):
-    for i in range(1000):
-        member.meet(f"job-{i}", 1, float(i))
-        member.meet(f"job-{i}", 1, i + 0.5, is_alive=False)
-        member.jobs.end_abandoned(float(i))
-    assert len(member.tokens) <= ABANDON_SECONDS + 1
-    member.jobs.end_abandoned(1000 + ABANDON_SECONDS)
-    assert (list(member.jobs), member.tokens, member.jobs.next_end) == ([], set(), inf)
-
-
 def test_a_job_whose_coordinator_is_there_or_of_which_something_is_held_goes_on(member):
     member.meet("job", 1, 0.0)
     session = member.join("job", 1, 0.0)
@@ -182,33 +144,3 @@ def test_a_job_that_was_left_is_joined_again_for_a_later_coordinator_and_for_no_
     assert list(drained.jobs) == []
     drained.meet("job", 8, 2.0)
     assert [session.job for session in drained.jobs] == ["job"]
-
-
-@pytest.mark.parametrize("epoch", [1, 7])
-def test_a_job_of_the_same_name_that_begins_anew_is_joined_though_it_counts_from_the_beginning(
-    drained, epoch
-):
-    drained.meet("job", 7, 1.0, is_alive=False)
-    drained.meet("job", epoch, 2.0)
-    assert drained.join("job", epoch, 2.0).epoch == epoch
-
-
-def test_a_coordinator_that_went_before_it_was_left_keeps_nobody_from_the_next_one(member):
-    member.meet("job", 7, 0.0)
-    session = member.join("job", 7, 0.0)
-    session.accept(work(1, epoch=7))
-    session.on_control(Control(epoch=7, drop=[], drain=True))
-    member.meet("job", 7, 1.0, is_alive=False)
-    session.release(work(1).batch)
-    member.jobs.leave_drained()
-    assert list(member.jobs) == []
-    member.meet("job", 1, 2.0)
-    assert member.join("job", 1, 2.0).epoch == 1
-
-
-def test_a_job_is_not_left_where_a_later_coordinator_is_there_already(member):
-    member.meet("job", 7, 0.0)
-    member.join("job", 7, 0.0).on_control(Control(epoch=7, drop=[], drain=True))
-    member.meet("job", 8, 1.0)
-    member.jobs.leave_drained()
-    assert member.join("job", 8, 1.0).has_share

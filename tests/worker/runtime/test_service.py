@@ -18,7 +18,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Control, Work
 from qdgrasp_worker.runtime.batch_progress import BatchProgress
-from qdgrasp_worker.runtime.service import HAND_BACK_SECONDS, GracefulShutdown
+from qdgrasp_worker.runtime.service import GracefulShutdown
 from qdgrasp_worker.runtime.simulator_messages import PartialResult
 
 
@@ -94,16 +94,6 @@ def test_jobs_share_a_worker_and_are_served_in_turn(hire, open_office):
     assert abs(there.count("one") - there.count("other")) <= 2
 
 
-def test_a_job_that_ends_leaves_its_credit_to_the_others(hire, open_office, network):
-    one = open_office("one")
-    hire()
-    one.wait(lambda: one.joins, "a join")
-    with LeasingCoordinator(network, "other") as other:
-        one.wait(lambda: one.joins[-1].credit == 1, "half of the credit")
-        other.wait(lambda: other.joins and other.joins[-1].credit == 1, "the other half")
-    one.wait(lambda: one.joins[-1].credit == 2, "all of the credit")
-
-
 def test_a_worker_that_is_drained_finishes_what_it_holds_and_leaves_that_job_alone(
     hire, open_office, network
 ):
@@ -125,18 +115,6 @@ def test_a_worker_that_is_drained_finishes_what_it_holds_and_leaves_that_job_alo
     other.give(work(2))
     other.wait(lambda: other.results, "a result")
     assert office.answered() == [1]
-
-
-def test_a_worker_that_was_drained_of_a_job_serves_a_new_one_of_the_same_name(hire, open_office, network):
-    with LeasingCoordinator(network) as office:
-        hire()
-        office.wait(lambda: office.joins, "a join")
-        office.control(drain=True)
-        office.wait(lambda: not office.workers, "the end of its token")
-    anew = open_office()
-    anew.give(work(2))
-    anew.wait(lambda: anew.results, "a result")
-    assert anew.epoch == office.epoch
 
 
 def test_a_worker_with_one_job_ends_when_that_is_drained_of_it(office, hire):
@@ -178,17 +156,6 @@ def test_sigint_ends_a_worker_at_once_also_one_that_is_about_to_leave(office, hi
     assert not Path(f"/proc/{worker.simulators[-1].pid}").exists()
 
 
-def test_a_second_sigterm_takes_nothing_from_the_grace(office, worker, go_on):
-    office.give(work(1, n=2, row_0=DAWDLE, row_1=WAIT))
-    office.wait(lambda: office.signs, "a sign of progress")
-    for _ in range(2):
-        worker.leave(signal.SIGTERM)
-    office.wait(lambda: office.joins[-1].credit == 0, "its farewell")
-    go_on()
-    worker.ends()
-    assert office.answered() == [1]
-
-
 def test_nobody_finishes_a_batch_for_a_coordinator_that_is_gone(hire, open_office, network):
     with LeasingCoordinator(network) as office:
         worker = hire(grace=1000.0)
@@ -208,25 +175,6 @@ def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_
     assert office.answered() == [1]
     assert office.results[0].failures == []
     assert len(worker.simulators) == 2
-
-
-def test_an_idle_worker_shows_what_it_takes_and_how_often_its_simulator_was_started_again(office, worker):
-    office.wait(lambda: office.joins and office.joins[-1].credit, "a simulator")
-    office.wait(lambda: office.sign, "a sign")
-    office.wait(lambda: office.sign.memory > 1 << 20, "what it takes")
-    assert (office.sign.progressed, office.sign.run, office.sign.restarts) == (False, "", 0)
-    os.kill(worker.simulators[0].pid, signal.SIGKILL)
-    office.wait(lambda: office.sign.restarts == 1, "another simulator")
-    assert office.signs == 0
-
-
-def test_a_worker_says_of_how_many_rows_its_batch_is_and_whether_its_scene_is_loaded(office, worker, go_on):
-    office.give(work(1, n=2, row_0=DAWDLE, row_1=WAIT))
-    office.wait(lambda: office.sign and office.sign.rows == 2 and not office.sign.loading, "a loaded scene")
-    assert office.sign.done < 2
-    go_on()
-    office.wait(lambda: office.results, "a result")
-    office.wait(lambda: (office.sign.rows, office.sign.done) == (0, 0), "a sign without a batch")
 
 
 def test_a_row_that_ends_simulators_is_reported_and_nothing_is_joined_anew_for_it(office, worker):
@@ -269,22 +217,6 @@ def test_a_worker_that_its_only_job_refuses_says_why(office, hire):
     worker = hire(job="job")
     worker.ends()
     assert "Job 'job' does not take this worker: another numpy" in str(worker.error)
-
-
-def test_a_worker_whose_only_job_fails_by_a_fault_of_its_own_asks_again(office, hire):
-    office.faults = 2
-    worker = hire(job="job")
-    office.wait(lambda: office.joins, "a join")
-    assert (office.faults, worker.error) == (0, None)
-
-
-def test_a_worker_that_one_of_many_jobs_refuses_serves_the_others(hire, open_office):
-    refusing, other = open_office("refusing"), open_office("other")
-    refusing.refusal = "another numpy"
-    hire()
-    other.wait(lambda: other.joins and other.joins[-1].credit == 2, "all of the credit")
-    other.give(work(1))
-    other.wait(lambda: other.results, "a result")
 
 
 def test_a_scene_that_comes_garbled_is_no_evidence_against_its_rows(office, hire):
@@ -345,12 +277,6 @@ def shutdown() -> GracefulShutdown:
     return GracefulShutdown(SECONDS)
 
 
-def test_an_idle_worker_goes_at_once_and_nobody_unasked(shutdown):
-    assert not shutdown.is_over(1e9)
-    shutdown.start(None, now=10.0)
-    assert shutdown.is_over(10.0)
-
-
 def test_a_batch_that_fits_is_finished_before(shutdown):
     half = in_work(n=10, done=5, since=9.0)
     shutdown.start(half, now=10.0)
@@ -360,19 +286,6 @@ def test_a_batch_that_fits_is_finished_before(shutdown):
     assert shutdown.is_over(10.5)
 
 
-@pytest.mark.parametrize(("done", "since"), [(1, 9.0), (0, 10.0 - SECONDS), (0, -1000.0)])
-def test_a_batch_that_does_not_fit_is_not_waited_for(shutdown, done, since):
-    shutdown.start(in_work(n=10, done=done, since=since), now=10.0)
-    assert shutdown.last_batch is None
-
-
-def test_a_batch_that_takes_longer_than_it_seemed_is_late_while_it_can_be_handed_back(shutdown):
-    shutdown.start(in_work(n=10, done=9, since=9.0), now=10.0)
-    assert shutdown.deadline == 10.0 + SECONDS - HAND_BACK_SECONDS
-    assert not shutdown.is_late(10.0)
-    assert shutdown.is_late(shutdown.deadline)
-
-
 def test_jobs_hear_what_is_handed_back_unless_that_takes_too_long(shutdown):
     shutdown.await_job("one")
     shutdown.start(None, now=10.0)
@@ -380,18 +293,3 @@ def test_jobs_hear_what_is_handed_back_unless_that_takes_too_long(shutdown):
     assert shutdown.is_over(10.0 + SECONDS)
     shutdown.on_job_told("one")
     assert shutdown.is_over(10.1)
-
-
-def test_a_worker_without_grace_still_hands_back():
-    shutdown = GracefulShutdown(0.0)
-    shutdown.await_job("one")
-    shutdown.start(in_work(n=1, done=0, since=10.0), now=10.0)
-    assert shutdown.last_batch is None
-    assert not shutdown.is_over(10.0)
-    assert shutdown.is_over(10.0 + HAND_BACK_SECONDS)
-
-
-def test_at_once_is_at_once(shutdown):
-    shutdown.start(in_work(n=10, done=9, since=9.0), now=10.0)
-    shutdown.stop_now()
-    assert shutdown.is_over(10.0)

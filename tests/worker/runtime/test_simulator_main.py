@@ -1,9 +1,6 @@
 """A simulator's process: the rows that it evaluates, and its limits on itself."""
 
-import os
 import socket
-import subprocess
-import sys
 from unittest.mock import Mock
 
 import pytest
@@ -12,13 +9,11 @@ from tests.fakes.job import Job
 from tests.fakes.worker import RunningWorker
 from tests.worker.runtime.crashing_simulator import COMMAND
 
-from qdgrasp_protocol.errors import InputError, MessageError
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, RowShape, pack
 from qdgrasp_worker.evaluator import Evaluation
 from qdgrasp_worker.runtime.simulator_main import WORK_COLUMNS, SimulatorMain
 from qdgrasp_worker.runtime.simulator_messages import (
-    LENGTH_HEADER,
-    MAX_FRAME_SIZE,
     BatchRejected,
     EvaluateRows,
     FramedSocket,
@@ -40,49 +35,6 @@ def test_poison_is_settled_as_an_error_and_the_journal_is_the_one_without_a_bus(
     errors = int((rows["outcome"] == Outcome.ERROR).sum())
     assert errors == 3
     assert sum(len(worker.simulators) for worker in workers) >= 3 * errors
-
-
-STAND_BACK = """
-import os, time
-from qdgrasp_assets.process_limits import AUTOGROUP, lower_priority
-lower_priority(7)
-while AUTOGROUP.exists() and not AUTOGROUP.read_text().endswith("nice 7\\n"):
-    time.sleep(0.01)
-print(os.nice(0))
-"""
-
-
-LIMIT = """
-from qdgrasp_assets.process_limits import limit_memory
-assert limit_memory(400_000_000)
-try:
-    bytearray(500_000_000)
-except MemoryError:
-    print("refused")
-"""
-
-
-def printed(script: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=True, start_new_session=True
-    )
-    return done.stdout.strip()
-
-
-def test_it_stands_back_in_its_session_and_as_a_session():
-    assert printed(STAND_BACK) == str(min(os.nice(0) + 7, 19))
-
-
-def test_it_may_not_ask_for_more_memory_than_was_granted():
-    assert printed(LIMIT) == "refused"
-
-
-def test_a_frame_that_is_too_long_is_no_end_of_the_socket():
-    ours, its = socket.socketpair()
-    with ours, its:
-        its.sendall(LENGTH_HEADER.pack(MAX_FRAME_SIZE + 1))
-        with pytest.raises(MessageError, match="a frame of 1073741825 bytes"):
-            FramedSocket(ours).receive()
 
 
 class Scarce:

@@ -62,13 +62,6 @@ def test_silence_is_the_time_that_passes(stall):
     assert stall.next_check == now + 1.5 * CHECK_SLICE
 
 
-def test_a_word_ends_it(stall):
-    now = check_repeatedly(stall, 100.0, 7)
-    stall.restart(now)
-    assert check_repeatedly(stall, now, 2) == now + 2 * CHECK_SLICE
-    assert stall.seconds == 2 * CHECK_SLICE
-
-
 def test_a_worker_that_stood_still_has_missed_one_slice(stall):
     check_repeatedly(stall, 100.0, 2)
     stall.check(1e6, is_stopped=False)
@@ -79,13 +72,6 @@ def test_a_simulator_that_stands_still_is_not_silent(stall):
     now = check_repeatedly(stall, 100.0, 1000, is_stopped=True)
     check_repeatedly(stall, now, 1)
     assert stall.seconds == CHECK_SLICE
-
-
-def test_before_anything_is_known_of_a_simulator_it_is_looked_at_at_once():
-    stall = StallDetector()
-    assert stall.next_check == 0.0
-    stall.check(1e6, is_stopped=False)
-    assert (stall.seconds, stall.next_check) == (0.0, 1e6 + CHECK_SLICE)
 
 
 BRISK = 0.4
@@ -269,18 +255,6 @@ def test_the_row_that_ends_a_simulator_is_found_and_the_others_are_evaluated(
     assert len(supervision.started) == 3
 
 
-def test_two_rows_that_end_simulators_are_both_found(supervision):
-    result = supervision.evaluate(work(n=8, row_0=ABORT, row_7=RAISE))
-    assert [failure.row for failure in result.failures] == [0, 7]
-    assert fitness(result) == [0, 1, 2, 3, 4, 5, 6, 0]
-
-
-def test_rows_that_are_known_are_not_evaluated_again(supervision, log):
-    supervision.evaluate(work(n=20, row_1=DAWDLE, row_18=ABORT))
-    begun = [int(line) for line in log.read_text().split()]
-    assert [begun.count(row) for row in (0, 15, 16, 17, 18, 19)] == [1, 1, 2, 2, 2, 1]
-
-
 def test_the_batch_that_waits_behind_goes_to_the_next_simulator(supervision):
     supervision.give(work(1, n=3, row_1=ABORT))
     supervision.give(work(2, n=3))
@@ -297,21 +271,6 @@ def test_a_kill_from_outside_says_nothing_against_a_row(supervision):
     assert supervision.done == []
     assert [task.work.batch for task in supervision.lost] == [work().batch]
     assert fitness(supervision.evaluate(work(2, n=3))) == [0, 1, 2]
-
-
-def test_a_simulator_heeds_no_signal_that_is_meant_for_its_worker(supervision):
-    supervision.evaluate(work(1))
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        os.kill(supervision.started[0].pid, number)
-    assert supervision.evaluate(work(2, n=3)).failures == []
-    assert len(supervision.started) == 1
-
-
-def test_a_scene_that_cannot_be_used_fails_its_batch_and_no_simulator(supervision):
-    result = supervision.evaluate(work(n=2), b"no scene")
-    assert failed(result) == [(0, "This is no scene."), (1, "This is no scene.")]
-    assert fitness(supervision.evaluate(work(n=2, scene="1" * 64))) == [0, 1]
-    assert len(supervision.started) == 1
 
 
 def test_a_scene_that_ends_the_simulator_fails_its_batch_at_once(supervision):
