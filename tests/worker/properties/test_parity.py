@@ -14,15 +14,12 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_protocol.spec import RunSpec
 
 OBJECTS = ("rubiks_cube", "mug", "power_drill")
-REFERENCES = {"allegro": "allegro", "barrett": "bh280", "panda": "panda_2f", "shadow": "shadow"}
 FITNESS = {"allegro": 0.75, "bh280": 0.70, "panda_2f": 0.75, "shadow": 0.75}
 """Share of grasps of either side with the same fitness; Barrett agrees with itself on 85 %."""
 FEW = 30
 """Classes with fewer rows are not judged."""
 NAMES, POSE = ("valid", "touched", "success"), ("base_position", "base_quaternion_xyzw", "synergy", "spread")
 """Columns that are read of a file."""
-NEIGHBOURS = {"shadow": 24}
-"""Number of poses to try around each success, where the successes alone are few."""
 
 
 def verdicts(valid, touched, success, fitness):
@@ -88,22 +85,3 @@ def test_every_reference_hand_fares_as_in_the_authors_code(hand, asset_path):
     assert agreement(ours.success, theirs.success, ours.success | theirs.success) >= 0.85
     either = (ours.fitness >= 1) | (theirs.fitness >= 1)
     assert either.sum() < FEW or agreement(ours.fitness, theirs.fitness, either) >= FITNESS[hand]
-
-
-def both(path, name, target):
-    """The built-in hand's and the reference's verdicts, on recorded poses or around successes."""
-    hand = REFERENCES[name]
-    poses, theirs = recorded(path, hand, target)
-    if name in NEIGHBOURS:
-        poses = around(poses[theirs.success], NEIGHBOURS[name])
-        return evaluated(name, target, poses), evaluated(f"ref_{hand}", target, poses)
-    return evaluated(name, target, poses), sides(path, hand, target)[0]
-
-
-def around(poses, count):
-    """Each pose `count` times, moved by some 5 mm and 3 degrees."""
-    random = np.random.default_rng(0)
-    moved = np.repeat(poses, count, axis=0)
-    moved[:, :3] += random.normal(0.0, 0.005, (len(moved), 3))
-    moved[:, 3:7] += random.normal(0.0, 0.025, (len(moved), 4))
-    return moved
