@@ -413,5 +413,5 @@ def _hollow_notes(hand: Urdf) -> Iterator[str]:
         yield (
             "the simulator wraps each collision mesh in its convex hull, which fills the room before "
             f"much of the surface of {hollow}: "
-            "`qdgrasp gripper new --mend` splits such meshes into convex parts"
+            "`qdgrasp gripper new --repair` splits such meshes into convex parts"
         )

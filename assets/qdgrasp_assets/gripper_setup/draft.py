@@ -103,7 +103,7 @@ def draft_gripper(
         raise AssetError(
             f"No finger can be found in '{robot.path}' beyond the link '{base}': "
             f"{why if limbs else 'none of its joints moves'}; name another --base-link, or give the finger "
-            "links collision shapes (--mend takes the visual ones)."
+            "links collision shapes (--repair takes the visual ones)."
         )
     axis, axis_reason = draft_axis(closing, overrides)
     offset, offset_reason = overrides.palm_offset, AS_TOLD
@@ -298,7 +298,7 @@ def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> It
     yield from _distance_warnings(closing)
     yield from _early_warnings(closing)
     if against := ", ".join(contradicted_limits(closing.body.robot)):
-        yield f"limits that mostly forbid what <mimic> asks of: {against}; --mend takes those of the <mimic>"
+        yield f"limits that mostly forbid what <mimic> asks: {against}; --repair takes those of the <mimic>"
     if "approach_axis" not in told and np.abs(axis).max() < 1 - 1e-9:
         yield (
             f"the approach axis, ({join_numbers(axis.round(3))}), is none of the base link's axes: if the "

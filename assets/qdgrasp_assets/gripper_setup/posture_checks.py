@@ -191,7 +191,7 @@ def _approach_notes(hand: HandPostures) -> Iterator[str]:
         yield (
             f"the fingers close {1000 * aside:.0f} mm beside the line through the base link along the "
             "approach axis, which is where objects are: few grasps will be found, unless the base link is "
-            "in the middle (`qdgrasp gripper new --mend` puts one there)"
+            "in the middle (`qdgrasp gripper new --repair` puts one there)"
         )
     surface, is_met = grasp_inference.palm_surface(hand.body, hand.axis)
     if grasp_inference.palm_links(hand.body) and is_met and abs(surface - file.palm_offset) > PALM_OFF:

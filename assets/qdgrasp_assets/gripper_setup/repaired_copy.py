@@ -216,9 +216,9 @@ def check_replaceable(robot: Urdf, toml: Path) -> None:
     """Check that a copy replaces only an older one that `robot` does not use; else `AssetError`."""
     urdf, folder = repaired_urdf(toml), repaired_meshes(toml)
     if urdf.exists() and (path_problem(urdf) or not _is_copy(urdf)):
-        _refuse(urdf, "was not written by --mend")
+        _refuse(urdf, "was not written by --repair")
     if folder.exists() and not _holds_copies(folder, urdf):
-        _refuse(folder, "holds what was not written by --mend")
+        _refuse(folder, "holds what was not written by --repair")
     if urdf.exists() and urdf.samefile(robot.path):
         _refuse(urdf, "is the URDF itself")
     if folder.exists() and any(_is_in(folder, robot, name) for name in _mesh_names(robot.element)):

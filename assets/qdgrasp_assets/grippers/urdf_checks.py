@@ -169,7 +169,7 @@ def _attribute_numbers(text: str) -> list[float]:
 
 
 HEAVIEST_HAND = 30.0  # Largest mass of a hand [kg]; a heavier one is given in grams
-MEND_ADVICE = "or have `qdgrasp gripper new --mend` do it"
+MEND_ADVICE = "or have `qdgrasp gripper new --repair` do it"
 
 
 def weight_faults(element: ET.Element) -> tuple[str, ...]:
@@ -272,7 +272,7 @@ def _kind_faults(hand: Urdf) -> Iterator[str]:
         which = f"the mesh {them} is a" if is_one else f"the meshes {them} are"
         yield (
             f"{which} {kind or 'nondescript'} file{'' if is_one else 's'}, and the simulator reads "
-            f"{', '.join(SIMULATOR_FORMATS)}: save {'it as one' if is_one else 'them as such'}, or use --mend"
+            f"{', '.join(SIMULATOR_FORMATS)}: save {'it as one' if is_one else 'them so'}, or use --repair"
         )
 
 
@@ -344,7 +344,7 @@ def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
     if _suffix(name) not in SIMULATOR_FORMATS:
         return ""  # `_kind_faults` lists all such meshes at once
     if _suffix(name) == ".stl" and stl_triangles(mesh_bytes(hand, name)) is None:
-        return f"{mesh} is no binary STL file, which alone the simulator reads: save it as one, or use --mend"
+        return f"{mesh} is no binary STL file, which alone the simulator reads: save it so, or use --repair"
     try:
         corners = np.concatenate([np.zeros((0, 3)), *collision_corners(hand, link, shape)])
     except AssetError as error:
@@ -357,6 +357,6 @@ def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
     if side > LARGEST_SHAPE:
         return (
             f"{mesh} is {side:.4g} m large, so it looks like millimetres: write "
-            '<mesh filename="..." scale="0.001 0.001 0.001"/>, or use --mend'
+            '<mesh filename="..." scale="0.001 0.001 0.001"/>, or use --repair'
         )
     return ""

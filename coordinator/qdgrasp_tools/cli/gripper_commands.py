@@ -130,7 +130,7 @@ QUESTIONS = (
     GripperQuestion("licence", "Licence of the hand's files", parse_text),
 )
 gripper_app = typer.Typer(
-    name="gripper", no_args_is_help=True, help="Hands of one's own: make their files, and check them."
+    name="gripper", no_args_is_help=True, help="Custom hands: make their files, and check them."
 )
 
 
@@ -178,8 +178,9 @@ def new(
         str | None, typer.Option(metavar="JOINT,...", help="Joints whose place is a gene; '' for none.")
     ] = None,
     licence: Annotated[str | None, typer.Option(help="Licence of the hand's files.")] = None,
-    mend: Annotated[
-        bool, typer.Option("--mend", help="Write a copy of the hand that the simulator can take, and use it.")
+    repair: Annotated[
+        bool,
+        typer.Option("--repair", help="Write a copy of the hand that the simulator takes, and use it."),
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: take the guesses.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
@@ -187,11 +188,11 @@ def new(
     """Write the file of a gripper, with a picture beside it:
     what flags say, the rest guessed from the URDF, each line with its reason.
 
-    On a terminal it asks, with the guesses as defaults. --mend writes a copy of the hand beside the file,
+    On a terminal it asks, with the guesses as defaults. --repair writes a copy of the hand beside the file,
     with masses where there are none, meshes in metres, hollow ones in convex parts, and the base link in the
     middle of the fingers.
 
-    Example: qdgrasp gripper new my_hand.urdf --licence BSD-3-Clause --mend
+    Example: qdgrasp gripper new my_hand.urdf --licence BSD-3-Clause --repair
     """  # noqa: D205  # typer joins the lines
     given = DraftOverrides(
         licence=licence,
@@ -213,7 +214,7 @@ def new(
     asset_commands.picture_file(pictures, target.name).check()
     robot, asks = _single_tree(urdf), is_asked() and not yes
     with ExitStack() as until_written:
-        robot, given = _usable_robot(robot, given, file, until_written, mend=mend, asks=asks)
+        robot, given = _usable_robot(robot, given, file, until_written, repair=repair, asks=asks)
         reference = _reference(robot.path, target)
         made = ask_missing(robot, reference, given) if asks else draft_gripper(robot, reference, given)
         found = examine_draft(robot, made, str(target))
@@ -273,7 +274,7 @@ def _single_tree(urdf: Path) -> Urdf:
 
 
 def _usable_robot(
-    robot: Urdf, given: DraftOverrides, file: OutFile, until_written: ExitStack, *, mend: bool, asks: bool
+    robot: Urdf, given: DraftOverrides, file: OutFile, until_written: ExitStack, *, repair: bool, asks: bool
 ) -> tuple[Urdf, DraftOverrides]:
     """The robot, or a repaired copy of its hand, with the base link that is to be used.
 
@@ -283,25 +284,31 @@ def _usable_robot(
     if base not in robot.links:
         return robot, given
     found = hand_faults(robot, base)
-    if found and not mend:
-        mend = asks and _wants_copy(found)
-    if found and not mend:
+    if found and not repair:
+        repair = asks and _wants_copy(found)
+    if found and not repair:
         raise AssetError(
             f"The URDF '{robot.path}' cannot be used as it is: {'; and '.join(found)}. "
-            "--mend writes a copy of the hand in which what can be mended is."
+            "--repair writes a copy of the hand in which what can be repaired is."
         )
     translates = is_mjcf(robot.path)
-    if not mend and not translates:
+    if not repair and not translates:
         return robot, given
     OutFile(repaired_urdf(file.path), force=file.force).check()
     OutFolder(repaired_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
-    may_centre = mend and given.base_link is None
+    may_centre = repair and given.base_link is None
     until_written.enter_context(atomic_files.making_parents(file.path.absolute().parent))
-    mending = repaired_copy(
-        robot, base, file.path, _print_examination, may_centre=may_centre, overrides=given, as_it_is=not mend
+    repairing = repaired_copy(
+        robot,
+        base,
+        file.path,
+        _print_examination,
+        may_centre=may_centre,
+        overrides=given,
+        as_it_is=not repair,
     )
-    copy = until_written.enter_context(mending)
-    for change in copy.changes or (("nothing had to be",) if mend else ()):
+    copy = until_written.enter_context(repairing)
+    for change in copy.changes or (("nothing had to be",) if repair else ()):
         echo(f"repaired: {change}")
     echo(f"written: {repaired_urdf(file.path)}")
     return copy.robot, replace(

@@ -44,7 +44,7 @@ def turn_hand_axes(poses: Floats, rotation: Floats) -> Floats:
 
 
 def scene_original_base(gripper: SceneGripper) -> OriginalBase | None:
-    """Return the base link of a hand's own URDF, where `--mend` added another; else None."""
+    """Return the base link of a hand's own URDF, where `--repair` added another; else None."""
     element = ET.fromstring(gripper.urdf)  # noqa: S314  # a scene that was read and checked
     return original_base(gripper.base_link, parse_robot(Path(gripper.name), element))
 

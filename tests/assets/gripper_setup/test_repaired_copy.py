@@ -65,7 +65,7 @@ def test_limits_that_forbid_what_a_joint_mimics_are_widened_and_warned_of(jaw_ur
     edit(jaw_urdf, '<axis xyz="0 -1 0"/>', '<axis xyz="0 1 0"/>')
     before = draft_gripper(read_urdf(jaw_urdf), jaw_urdf.name, DraftOverrides())
     assert before.file.joints["other"].closed is None
-    assert any("--mend takes those of the <mimic>" in words for words in before.warnings)
+    assert any("--repair takes those of the <mimic>" in words for words in before.warnings)
     assert "the joint 'other' is limited to where <mimic> takes it" in repaired(jaw_urdf).changes[0]
     assert read_gripper_file(jaw_urdf.parent / "own.toml").joints["other"].closed == 0.04
 
@@ -168,7 +168,7 @@ def test_a_folder_with_files_of_somebody_else_is_not_replaced(jaw_urdf, edit, af
         repaired(jaw_urdf)
     folder.mkdir(exist_ok=True)
     (folder / "keep.txt").write_text("mine")
-    with pytest.raises(AssetError, match="own_meshes' holds what was not written by --mend, and is not"):
+    with pytest.raises(AssetError, match="own_meshes' holds what was not written by --repair, and is not"):
         repaired(jaw_urdf)
     assert (folder / "keep.txt").read_text() == "mine"
 

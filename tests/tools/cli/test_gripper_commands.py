@@ -73,12 +73,12 @@ def test_what_cannot_be_used_is_refused_with_all_faults_and_what_helps(gripper):
     done = gripper("new", "jaw.urdf")
     assert isinstance(done.exception, AssetError)
     assert "the link 'palm' is without <inertial>" in str(done.exception)
-    assert "--mend writes a copy" in str(done.exception)
+    assert "--repair writes a copy" in str(done.exception)
     assert not Path("jaw.toml").exists()
 
 
 def test_a_repaired_copy_lies_beside_the_file_and_is_what_it_names(gripper, bare):
-    assert "repaired: the link 'palm' is given a mass" in gripper("new", "jaw.urdf", "--mend").stdout
+    assert "repaired: the link 'palm' is given a mass" in gripper("new", "jaw.urdf", "--repair").stdout
     assert read_gripper_file(Path("jaw.toml")).urdf == "jaw_repaired.urdf"
     assert gripper("check", "jaw.toml").exit_code == 0
 
@@ -130,7 +130,7 @@ def test_the_urdf_is_never_written_over(gripper):
 
 
 def test_what_is_found_bad_is_not_written_and_its_repaired_copy_goes(gripper, bare):
-    done = gripper("new", "jaw.urdf", "--standoff", "0.05,0.01", "--mend")
+    done = gripper("new", "jaw.urdf", "--standoff", "0.05,0.01", "--repair")
     assert isinstance(done.exception, AssetError)
     assert "WRONG            standoff must be [least, greatest]" in done.stdout
     assert str(done.exception) == "The gripper 'jaw.toml' was not written: correct the fault that is listed."
