@@ -93,12 +93,6 @@ def test_the_best_candidate_that_promises_enough_and_does_not_overlap_is_simulat
     assert refused
 
 
-def test_proposals_are_the_candidates_within_the_stand_off_and_one_at_least(rows, candidates):
-    counts = np.bincount(candidates[1], minlength=N)
-    np.testing.assert_array_equal(rows["proposals"], np.maximum(counts, 1))
-    assert 1 < counts.mean() < 12
-
-
 def test_a_value_is_that_of_the_formula_rounded_and_demanded_where_the_last_gene_is_above_zero():
     random, ranking = np.random.default_rng(0), RANKINGS["valued"]
     features = random.uniform(-1, 1, (200, 13)).astype(np.float32)

@@ -4,14 +4,13 @@ from contextlib import closing
 from dataclasses import replace
 from math import cos, radians, sin
 
-import msgspec
 import numpy as np
 import pytest
-from tests.worker.genomes import draw, elsewhere, evaluated, outcomes, results
+from tests.worker.genomes import draw, evaluated, results
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Outcome
 from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_worker.decoder import HandPose
@@ -23,7 +22,7 @@ from qdgrasp_worker.evaluation_protocols import (
     SMALL_MIXTURE,
     TrialSetup,
 )
-from qdgrasp_worker.evaluator import Evaluator, make_episode, make_world
+from qdgrasp_worker.evaluator import make_episode, make_world
 
 SIDE = radians(27.0)  # The direction of one of the cube's sides
 HALF_TURN = (SIDE + radians(90.0)) / 2
@@ -63,41 +62,6 @@ def test_a_jaw_centres_what_it_holds(scene):
     verdict = judged(scene, aside)
     assert verdict.outcome == Outcome.HELD
     assert verdict.joints[0] == pytest.approx(verdict.joints[1], abs=1e-3)
-
-
-class TestResults:
-    genomes = draw(40, near=25, seed=3)
-
-    def test_they_depend_on_scene_and_genome_alone(self, scene):
-        rows = evaluated(scene, "approach", self.genomes)
-        assert {Outcome.OVERLAP, Outcome.HELD} < set(outcomes(rows)), "genomes were to get everywhere"
-        again = evaluated(scene, "approach", self.genomes[::-1], batch=7)[::-1]
-        assert results(again) == results(rows)
-        assert results(elsewhere(evaluated, scene, "approach", self.genomes)) == results(rows)
-
-    def test_shortcuts_change_none(self, scene):
-        rows = evaluated(scene, "approach", self.genomes)
-        assert results(evaluated(scene, "approach", self.genomes, shortcuts=False)) == results(rows)
-
-    def test_held_means_that_every_push_was_survived_and_shaken_that_some_were(self, scene):
-        rows = evaluated(scene, "approach", self.genomes)
-        fitness, outcome = rows["fitness"], rows["outcome"]
-        assert ((fitness == 6) == (outcome == Outcome.HELD)).all()
-        assert ((fitness > 0) & (fitness < 6) == (outcome == Outcome.SHAKEN)).all()
-
-    def test_evaluators_of_two_protocols_side_by_side_do_not_change_each_other(self, scene, cube):
-        trials = np.zeros(len(self.genomes), np.uint16)
-        alone = [evaluated(each, "approach", self.genomes) for each in (cube, scene)]
-        with Evaluator(cube) as paper, Evaluator(scene) as other:
-            turns = [
-                [
-                    each.evaluate("approach", self.genomes[i : i + 1], trials[:1]).rows
-                    for each in (paper, other)
-                ]
-                for i in range(len(self.genomes))
-            ]
-        for rows, found in zip(alone, zip(*turns, strict=True), strict=True):
-            assert results(np.concatenate(found)) == results(rows)
 
 
 class TestRobustOnPhysical:
@@ -205,8 +169,3 @@ def test_a_base_without_trials_is_refused_in_one_sentence(protocol):
     values = {"gripper": "panda", "object": "mug", "protocol": protocol, "base": "physical"}
     with pytest.raises(InputError, match=f"'{protocol}' has no trials; leave base out"):
         run_spec(values)
-
-
-def test_a_scene_of_an_unknown_base_is_refused(scene):
-    with pytest.raises(UnknownName, match="base"):
-        Evaluator(msgspec.structs.replace(scene, protocol="robust", base="other"))

@@ -6,9 +6,7 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation
 from tests.worker.genomes import HANDS, decoded
 
 from qdgrasp_assets.genes import layout
@@ -23,39 +21,18 @@ from qdgrasp_worker.filters.contact_filter import (
     MAX_VOXELS,
     BoundingBalls,
     ContactFilter,
-    SweptBox,
     coarseness,
     interpolate_course,
     measure_zones,
 )
 from qdgrasp_worker.object_geometry import ObjectSolid
 
-RADIUS = 0.05
-SWEEP = SweptBox.around([((1, 2, 3), (1.1, 2.1, 3.1)), ((0.9, 2, 3), (1, 2.2, 3.3))], [1, 2, 3], RADIUS)
 small = st.floats(-1.0, 1.0, width=32)
-triples = st.tuples(small, small, small)
-turns = st.tuples(small, small, small, small).filter(lambda q: np.linalg.norm(q) > 0.1)
 
 
 def pose_at(position, turn) -> HandPose:
     quaternion = np.array(turn) / np.linalg.norm(turn)
     return HandPose(list(position), quaternion.tolist(), [], NO_SYNERGY)
-
-
-@given(triples, turns, triples, triples)
-def test_an_object_that_has_left_is_outside_ever_after(position, turn, place, velocity):
-    pose = pose_at(position, turn)
-    hand = Rotation.from_quat(pose.quaternion)
-    if SWEEP.is_left(pose, place, velocity):
-        for time in (0.0, 0.1, 1.0, 10.0):
-            seen = hand.inv().apply(np.array(place) + time * np.array(velocity) - position)
-            assert (seen > np.array(SWEEP.high) - 1e-6).any() or (seen < np.array(SWEEP.low) + 1e-6).any()
-
-
-def test_an_object_at_rest_outside_has_left_and_one_that_comes_back_has_not():
-    pose, place = pose_at((0, 0, 0), (0, 0, 0, 1)), (0.5, 0.0, 0.0)
-    assert SWEEP.is_left(pose, place, (0.0, 0.0, 0.0))
-    assert not SWEEP.is_left(pose, place, (-0.1, 0.0, 0.0))
 
 
 def box(*size):

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
@@ -15,7 +14,6 @@ from qdgrasp_protocol.errors import JawNeeded
 from qdgrasp_protocol.rows import Outcome
 
 NU_T = np.pi / 6
-MIRROR = np.array([-1.0, 1.0, 1.0])
 NARROW = Jaw(axis=(0.0, 1.0, 0.0), opening=0.05)
 
 
@@ -87,37 +85,6 @@ def surface(scene):
     triangles = scene.object.triangles.astype(np.float64)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return triangles, normals / np.linalg.norm(normals, axis=1, keepdims=True)
-
-
-def mirrored(scene):
-    """The scene in a mirror: x changes its sign, and triangles are wound the other way."""
-    flip = MIRROR.astype("<f4")
-    vertices = np.frombuffer(scene.object.mesh_vertices, "<f4").reshape(-1, 3) * flip
-    faces = np.frombuffer(scene.object.mesh_faces, "<u4").reshape(-1, 3)[:, ::-1]
-    (low, *lows), (high, *highs) = scene.finder_low, scene.finder_high
-    return msgspec.structs.replace(
-        scene,
-        points=(scene.surface_points * flip).tobytes(),
-        normals=(scene.surface_normals * flip).tobytes(),
-        finder_low=(-high, *lows),
-        finder_high=(-low, *highs),
-        object=msgspec.structs.replace(
-            scene.object, mesh_vertices=vertices.tobytes(), mesh_faces=np.ascontiguousarray(faces).tobytes()
-        ),
-    )
-
-
-def test_in_a_mirror_the_same_fingertips_come_from_the_other_side(scene):
-    genomes = draw(300, 4)
-    reflected = genomes * np.array([-1, 1, 1, 1], np.float32)
-    reflected[:, 3] = np.where(genomes[:, 3] >= 0, 1 - genomes[:, 3], -1 - genomes[:, 3])  # pi - Omega
-    one, other = decode(scene, genomes), decode(mirrored(scene), reflected)
-    np.testing.assert_array_equal(one.dead_ends, other.dead_ends)
-    np.testing.assert_allclose(other.positions, one.positions * MIRROR, atol=1e-6)
-    alive = ~one.dead_ends
-    for axis in (scene.gripper.approach_axis, scene.gripper.jaw.axis):
-        seen = Rotation.from_quat(one.quaternions[alive]).apply(axis) * MIRROR
-        np.testing.assert_allclose(Rotation.from_quat(other.quaternions[alive]).apply(axis), seen, atol=5e-6)
 
 
 def test_what_is_wider_than_the_opening_is_a_dead_end_and_is_not_simulated(cube):

@@ -17,9 +17,6 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Control, Work
-from qdgrasp_worker.runtime.batch_progress import BatchProgress
-from qdgrasp_worker.runtime.service import GracefulShutdown
-from qdgrasp_worker.runtime.simulator_messages import PartialResult
 
 
 @pytest.fixture
@@ -156,15 +153,6 @@ def test_sigint_ends_a_worker_at_once_also_one_that_is_about_to_leave(office, hi
     assert not Path(f"/proc/{worker.simulators[-1].pid}").exists()
 
 
-def test_nobody_finishes_a_batch_for_a_coordinator_that_is_gone(hire, open_office, network):
-    with LeasingCoordinator(network) as office:
-        worker = hire(grace=1000.0)
-        office.give(work(1, row_0=HANG))
-        office.wait(lambda: office.signs, "a sign of progress")
-    worker.leave()
-    worker.ends()
-
-
 def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_it(office, worker, go_on):
     office.give(work(1, n=2, row_0=DAWDLE, row_1=WAIT))
     office.wait(lambda: office.signs, "a sign of progress")
@@ -219,37 +207,6 @@ def test_a_worker_that_its_only_job_refuses_says_why(office, hire):
     assert "Job 'job' does not take this worker: another numpy" in str(worker.error)
 
 
-def test_a_scene_that_comes_garbled_is_no_evidence_against_its_rows(office, hire):
-    office.garbled = 2
-    hire()
-    office.give(work(1, n=2))
-    office.wait(lambda: office.results, "a result")
-    assert office.results[0].failures == []
-    assert office.fetched == 3
-
-
-def test_a_scene_that_is_larger_than_one_can_be_fails_its_batches(hire, open_office, monkeypatch):
-    monkeypatch.setattr(messages, "MAX_BUNDLE", 0)
-    office = open_office()
-    hire()
-    office.give(work(1, n=2))
-    office.wait(lambda: office.results, "a result")
-    reasons = {failure.reason for failure in office.results[0].failures}
-    assert reasons == {"the scene has 1 chunks, more than 0"}
-
-
-def test_a_link_that_was_cut_costs_no_batch_that_is_held(office, worker, go_on):
-    office.give(work(1, n=2, row_0=DAWDLE, row_1=WAIT))
-    office.wait(lambda: office.fetched, "its beginning")
-    joins = len(office.joins)
-    worker.bus.disconnect()
-    worker.bus.reconnect()
-    office.wait(lambda: len(office.joins) > joins, "another join")
-    go_on()
-    office.wait(lambda: office.results, "a result")
-    assert office.joins[-1].held == [work(1).batch]
-
-
 def test_a_scene_that_ends_every_simulator_is_tried_three_times_and_not_again(hire, open_office):
     office = open_office(scene=b"abort")
     worker = hire()
@@ -261,35 +218,3 @@ def test_a_scene_that_ends_every_simulator_is_tried_three_times_and_not_again(hi
 
 
 # The decision when to end.
-
-SECONDS = 2.0
-
-
-def in_work(n: int, done: int, since: float) -> BatchProgress:
-    task = BatchProgress("job", work(n=n), since=since)
-    if done:
-        task.add(PartialResult(n=done, columns={"nu": bytes(4 * done)}))
-    return task
-
-
-@pytest.fixture
-def shutdown() -> GracefulShutdown:
-    return GracefulShutdown(SECONDS)
-
-
-def test_a_batch_that_fits_is_finished_before(shutdown):
-    half = in_work(n=10, done=5, since=9.0)
-    shutdown.start(half, now=10.0)
-    assert shutdown.last_batch is half
-    assert not shutdown.is_over(10.5)
-    shutdown.on_released(half)
-    assert shutdown.is_over(10.5)
-
-
-def test_jobs_hear_what_is_handed_back_unless_that_takes_too_long(shutdown):
-    shutdown.await_job("one")
-    shutdown.start(None, now=10.0)
-    assert not shutdown.is_over(10.1)
-    assert shutdown.is_over(10.0 + SECONDS)
-    shutdown.on_job_told("one")
-    assert shutdown.is_over(10.1)

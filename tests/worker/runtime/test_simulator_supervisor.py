@@ -33,7 +33,6 @@ from qdgrasp_worker.runtime import simulator_supervisor
 from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.simulator_messages import SimulatorSettings
 from qdgrasp_worker.runtime.simulator_supervisor import (
-    CHECK_SLICE,
     NoSimulator,
     SimulatorClient,
     SimulatorEvent,
@@ -47,31 +46,6 @@ def stall() -> StallDetector:
     stall = StallDetector()
     stall.restart(100.0)
     return stall
-
-
-def check_repeatedly(stall: StallDetector, since: float, slices: int, *, is_stopped: bool = False) -> float:
-    for number in range(1, slices + 1):
-        stall.check(since + number * CHECK_SLICE, is_stopped=is_stopped)
-    return since + slices * CHECK_SLICE
-
-
-def test_silence_is_the_time_that_passes(stall):
-    now = check_repeatedly(stall, 100.0, 7)
-    stall.check(now + CHECK_SLICE / 2, is_stopped=False)
-    assert stall.seconds == 7.5 * CHECK_SLICE
-    assert stall.next_check == now + 1.5 * CHECK_SLICE
-
-
-def test_a_worker_that_stood_still_has_missed_one_slice(stall):
-    check_repeatedly(stall, 100.0, 2)
-    stall.check(1e6, is_stopped=False)
-    assert stall.seconds == 3 * CHECK_SLICE
-
-
-def test_a_simulator_that_stands_still_is_not_silent(stall):
-    now = check_repeatedly(stall, 100.0, 1000, is_stopped=True)
-    check_repeatedly(stall, now, 1)
-    assert stall.seconds == CHECK_SLICE
 
 
 BRISK = 0.4
