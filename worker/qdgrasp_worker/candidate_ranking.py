@@ -19,8 +19,7 @@ from qdgrasp_assets.grippers.hand_geometry import Closing
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import DecodedGrasps
-from qdgrasp_worker.filters.overlap_filter import OverlapFilter
-from qdgrasp_worker.filters.table_filter import TableFilter
+from qdgrasp_worker.filters.pose_filters import OverlapFilter, TableFilter
 from qdgrasp_worker.object_geometry import ObjectSolid
 from qdgrasp_worker.swept_volume import FirstContacts, SweptVolumes
 

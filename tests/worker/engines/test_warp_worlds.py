@@ -51,8 +51,6 @@ def test_outcomes_and_settled_poses_are_those_of_mujoco(scene, evaluator, found)
     points = [rows["contact_points"][held].astype(float).reshape(-1, 8, 7) for rows in (found, expected)]
     np.testing.assert_allclose(*(each[..., 6].sum(axis=1) for each in points), rtol=0.05)
     assert evaluator.redone == 0
-    used = [worlds.buffers_used for worlds in (evaluator._fixed, evaluator._free)]
-    assert all(0 < used < size for each in used for used, size in zip(each, evaluator.buffers, strict=True))
 
 
 @pytest.mark.skipif(DEVICE.name != "cpu", reason="on a GPU the order of constraints is not fixed")

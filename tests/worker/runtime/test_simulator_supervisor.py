@@ -30,8 +30,7 @@ from tests.worker.runtime.scripted_simulator import (
 from qdgrasp_assets.process_limits import PROBE_SECONDS, STALL_FACTOR
 from qdgrasp_protocol.messages import Result, Work
 from qdgrasp_worker.runtime import simulator_supervisor
-from qdgrasp_worker.runtime.batch_progress import BatchProgress
-from qdgrasp_worker.runtime.simulator_messages import SimulatorSettings
+from qdgrasp_worker.runtime.simulator_messages import BatchProgress, SimulatorSettings
 from qdgrasp_worker.runtime.simulator_supervisor import (
     NoSimulator,
     SimulatorClient,

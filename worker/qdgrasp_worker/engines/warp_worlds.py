@@ -61,8 +61,6 @@ class WorldBatch:
             dof_damping=warp.array(self._damping, dtype=float),
         )
         self._graphs: dict[int, Any] = {}
-        self.used = BufferSizes(0, 0)
-        """The greatest use of the buffers so far."""
 
     def write(self, states: States) -> None:
         """Set the states of the first n worlds, and those of the last one for all others."""
@@ -111,8 +109,6 @@ class WorldBatch:
         failed = (data.overflow[:n].numpy() & int(OVERFLOWS)) != 0
         found, near = int(data.nacon.numpy()[0]), int(data.ncollision.numpy()[0])
         failed |= max(found, near) > data.naconmax
-        used = -(-max(found, near) // self._size), int(data.nefc.numpy().max())
-        self.used = BufferSizes(*map(max, self.used, used))
         for values in states.values():
             failed |= ~np.isfinite(values).all(axis=1)
         place, turn = host(data.xpos)[:n, object_], host(data.xquat)[:n, object_][:, [1, 2, 3, 0]]
@@ -179,12 +175,6 @@ class WarpWorlds(BatchWorlds):
             name, most = self._device
             fewer = f"start `qdgrasp-worker` with fewer, --worlds {max(1, most // 2)}"
             raise MemoryError(f"{name} has no room for {most} worlds of this scene: {fewer}.") from None
-
-    @property
-    def buffers_used(self) -> BufferSizes:
-        """The greatest use of the buffers so far."""
-        used = [worlds.used for worlds in self._sized.values()] or [BufferSizes(0, 0)]
-        return BufferSizes(*(max(numbers) for numbers in zip(*used, strict=True)))
 
 
 def host(values: Any) -> Floats:

@@ -40,7 +40,7 @@ from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import scene_protocol
 from qdgrasp_worker.evaluator import contact_columns, make_episode, verdict_in_all
-from qdgrasp_worker.filters.table_filter import TableFilter
+from qdgrasp_worker.filters.pose_filters import TableFilter
 from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.replay.episode_recorder import (
     REST_SECONDS,

@@ -36,9 +36,9 @@ from qdgrasp_worker.runtime.background_requests import (
     SceneCache,
     SceneStore,
 )
-from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.builder_client import BuildEnded, BuilderClient
 from qdgrasp_worker.runtime.job_registry import JobRegistry, JobSession, jitter
+from qdgrasp_worker.runtime.simulator_messages import BatchProgress
 from qdgrasp_worker.runtime.simulator_supervisor import (
     SimulatorEnded,
     SimulatorEvent,

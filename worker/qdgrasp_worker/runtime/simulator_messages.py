@@ -1,19 +1,21 @@
 """Messages between a worker and its simulator, and the socket that carries them.
 
 Frozen structs in MessagePack, each behind its length, over a pair of sockets. Answers come in the order of
-the questions, so that neither carries a number.
+the questions, so that neither carries a number. `BatchProgress` gathers the answers to one batch; it is pure:
+time is passed in, in seconds of any steady clock.
 """
 
 import socket
 import struct
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import msgspec
 from msgspec import Struct
 
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Failure
+from qdgrasp_protocol.messages import Failure, Result, Work, deflated, shorten
 
 LENGTH_HEADER = struct.Struct("<I")
 MAX_FRAME_SIZE = 1 << 30  # The longest frame [bytes]; a greater length is an error
@@ -143,3 +145,107 @@ class FramedSocket:
             while have < length and (came := self._end.recv_into(view[have:])):
                 have += came
         return bytes(buffer) if have == length else None
+
+
+@dataclass(eq=False)
+class BatchProgress:
+    """A batch of a job at the simulator, or waiting for it."""
+
+    job: str
+    work: Work
+    is_careful: bool = False
+    """Its rows are evaluated one by one: a simulator ended during this batch."""
+    is_loading: bool = False
+    """Its scene was sent along, and is not loaded yet."""
+    done: int = 0
+    """Number of its rows that are known."""
+    since: float = 0.0
+    """Time at which the present simulator began it."""
+    done_before: int = 0
+    """Number of its rows that were known then."""
+    cpu_seconds: float = 0.0
+    _parts: list[PartialResult] = field(default_factory=list)
+    _failures: list[Failure] = field(default_factory=list)
+
+    @property
+    def is_done(self) -> bool:
+        """True if all rows are known."""
+        return self.done >= self.work.n
+
+    def seconds_left(self, now: float) -> float:
+        """Seconds for the rest at the same pace; before the first row, as many as have passed."""
+        passed, found = now - self.since, self.done - self.done_before
+        return passed / found * (self.work.n - self.done) if found else passed
+
+    def begin(self, now: float) -> None:
+        """Note that a simulator begins with its rows that are not known."""
+        self.since, self.done_before = now, self.done
+
+    def request(self, bundle: bytes | None) -> EvaluateRows:
+        """Return the request to evaluate the rows that are not known yet, with the scene if given."""
+        work = self.work
+        self.is_loading = bundle is not None
+        columns = {name: blob[self.done * (len(blob) // work.n) :] for name, blob in work.columns.items()}
+        return EvaluateRows(
+            scene=work.scene,
+            bundle=bundle,
+            prior=work.prior,
+            n=work.n - self.done,
+            genes=work.genes,
+            columns=columns,
+            is_careful=self.is_careful,
+        )
+
+    def add(self, part: PartialResult) -> None:
+        """Take the results of the next rows."""
+        self._failures += [
+            Failure(row=self.done + failed.row, reason=failed.reason) for failed in part.failures
+        ]
+        self._parts.append(part)
+        self.done += part.n
+        self.cpu_seconds += part.cpu_seconds
+
+    def on_crash(self, reason: str) -> None:
+        """Note that the simulator ended during this batch.
+
+        If it was loading the scene, all rows fail. If it went row by row, the first that is not known fails;
+        else the faulty row is not known, and rows are tried one by one.
+        """
+        if self.is_loading:
+            self.fail_all(f"{reason} while it loaded the scene")
+        elif self.is_careful or self.done == self.work.n - 1:
+            self.add(PartialResult(n=1, failures=[Failure(row=0, reason=shorten(reason))]))
+        self.is_careful = True
+
+    def fail_all(self, reason: str) -> None:
+        """Note that no row can be evaluated, for one reason."""
+        n = self.work.n
+        self._parts, self.done = [], n
+        self._failures = [Failure(row=row, reason=shorten(reason)) for row in range(n)]
+
+    def result(self, wid: str, key: bytes) -> Result:
+        """Return the answer to the batch, by a worker with its key."""
+        work = self.work
+        shape = next((part for part in self._parts if part.columns), PartialResult(n=1))
+        return Result(
+            epoch=work.epoch,
+            run=work.run,
+            generation=work.generation,
+            batch=work.batch,
+            attempt=work.attempt,
+            wid=wid,
+            key=key,
+            n=work.n,
+            joints=shape.joints,
+            descriptors=shape.descriptors,
+            contact_slots=shape.contact_slots,
+            columns=deflated(
+                {name: self._column(name, len(blob) // shape.n) for name, blob in shape.columns.items()}
+            ),
+            cpu_seconds=self.cpu_seconds,
+            failures=self._failures,
+        )
+
+    def _column(self, name: str, width: int) -> bytes:
+        """One column of all rows, `width` bytes each; a row that ended its simulator holds zeros."""
+        return b"".join(part.columns.get(name, bytes(width * part.n)) for part in self._parts)

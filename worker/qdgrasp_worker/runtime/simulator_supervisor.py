@@ -32,9 +32,9 @@ from qdgrasp_assets.process_limits import (
 from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
 from qdgrasp_protocol.supervisor import RestartPolicy
 from qdgrasp_worker.device import Device
-from qdgrasp_worker.runtime.batch_progress import BatchProgress
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
+    BatchProgress,
     BatchRejected,
     FramedSocket,
     PartialResult,

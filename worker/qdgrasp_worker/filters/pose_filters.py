@@ -1,8 +1,11 @@
-"""Overlap filter: finds hands that are surely inside the object, without the simulator.
+"""Filters of poses that are not simulated: hands inside the object, and hands below the table.
 
-Points on and in the collision shapes of the open hand, the first of them wide apart, are looked up in voxels
-that are wholly inside the object. A point of both bodies proves an overlap, so that no pose is rejected that
-the simulator accepts. Few points are looked up for all poses, more of them for the remaining ones.
+Overlap: points on and in the collision shapes of the open hand, the first of them wide apart, are looked up
+in voxels that are wholly inside the object. A point of both bodies proves an overlap, so that no pose is
+rejected that the simulator accepts. Few points are looked up for all poses, more for the remaining ones.
+
+Table: it is a plane, and no body in the simulator. A hand stays above it if the lowest corner of its open
+fingers and palm does, at its pose and where its approach begins.
 """
 
 import numpy as np
@@ -10,7 +13,8 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.voxels import rotation_matrices, transform_points
 from qdgrasp_assets.grippers.hand_geometry import POINTS_AT_ONCE, STAGES, hand_geometry
-from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_assets.grippers.reachability import HandApproach
+from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.object_geometry import ObjectSolid
 
@@ -50,3 +54,20 @@ class OverlapFilter:
             points, rotation_matrices(grasps.quaternions[places]), grasps.positions[places]
         )
         return np.asarray(self._inside.at(x, y, z).any(axis=1))
+
+
+class TableFilter:
+    """Finds poses at which the hand comes below the table in each of a scene's resting poses."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._poses = scene.resting_poses
+        self._approach = HandApproach(scene.gripper, scene.approach_distance) if self._poses else None
+
+    def __call__(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Those of `places` in a batch of grasps that are refused; none without a table."""
+        if self._approach is None:
+            return places[:0]
+        clear = self._approach.clear_of(
+            self._poses, grasps.positions[places], grasps.quaternions[places], grasps.joints[places]
+        )
+        return places[~clear.any(axis=1)]
