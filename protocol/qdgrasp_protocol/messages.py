@@ -223,10 +223,6 @@ class Recordable(Message, frozen=True, kw_only=True):
     """CPU time of these rows on their workers [s], outside the digest."""
     failures: list[Failure] = []
     """Reasons of the failures in rows with `Outcome.ERROR`."""
-    checked: Count = 0
-    """Rows of the run that a second worker has evaluated, since the last such message."""
-    differing: Count = 0
-    """Of these, rows answered by workers that were excluded."""
 
 
 class Recorded(Message, frozen=True, kw_only=True):

@@ -91,15 +91,6 @@ def fail_once(genome: bytes) -> None:
     FAILURES[name]()
 
 
-class Lying(Slow):
-    """An evaluator that reports other places than it found."""
-
-    def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
-        found = super().evaluate(prior, genomes, trials)
-        found.rows["descriptor"] *= np.float32(0.5)
-        return found
-
-
 class Sick(Slow):
     """An evaluator that fails on every row."""
 
@@ -123,7 +114,7 @@ class Silent(Slow):
         return super().evaluate(prior, genomes, trials)
 
 
-BAD = {"lying": Lying, "sick": Sick, "straggling": Straggling, "silent": Silent}
+BAD = {"sick": Sick, "straggling": Straggling, "silent": Silent}
 """Evaluators of bad workers, by the name that stands in CHAOS_BAD."""
 
 

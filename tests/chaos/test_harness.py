@@ -28,7 +28,7 @@ from tests.chaos.simulator import BAD
 from tests.common import PATIENCE, wait_for
 from tests.system.commands import is_alive, kill
 
-from qdgrasp_coordinator.scheduler.worker import TOKEN_GRACE
+from qdgrasp_coordinator.scheduler.worker_registry import TOKEN_GRACE
 from qdgrasp_protocol.session import BASE_SETTINGS
 from qdgrasp_protocol.spec import RunSpec
 

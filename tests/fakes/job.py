@@ -17,7 +17,6 @@ from tests.fakes.worker import FakeWorker
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
-from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RecorderClient, RowSink
@@ -143,7 +142,6 @@ class Job:
         network: Network | None = None,
         seconds: float | None = None,
         recorded: bool = False,
-        checked: float = CHECKED_SHARE,
         **kinds: type[MemorySink],
     ) -> None:
         self._kinds = kinds
@@ -155,7 +153,7 @@ class Job:
         self.open: list[int] = []
         self.bus = self.network.session()
         how = {"job": JOB, "queue": self.programme, "make_sink": self._record, "batch_size": 2}
-        self.service = CoordinatorService(self.bus, self.stop, seconds=seconds, checked=checked, **how)
+        self.service = CoordinatorService(self.bus, self.stop, seconds=seconds, **how)
 
     def _record(self, plan: RunPlan) -> RowSink:
         if self._recorded:

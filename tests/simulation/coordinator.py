@@ -15,7 +15,7 @@ from qdgrasp_coordinator.scheduler.coordinator_service import MOST_WAIT
 from qdgrasp_coordinator.scheduler.inbox import JoinRequest, LinkChange
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue, WantedShapes
+from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue, WantedShape, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
     EpochOpened,
@@ -28,7 +28,6 @@ from qdgrasp_coordinator.scheduler.run_registry import (
     RunRegistry,
     ShapesFound,
 )
-from qdgrasp_coordinator.scheduler.shape_queue import WantedShape
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import MeshFile, ShapeTask
 from qdgrasp_protocol.errors import InputError, NoReply, Refused, TookOver
@@ -164,7 +163,6 @@ class Coordinator(Process):
         plan: Callable[[str], RunPlan],
         batch_size: int | None,
         *,
-        checked: float,
         on_epoch: Callable[["Coordinator"], None],
         opening: float = 0.2,
         built: set[str] | None = None,
@@ -176,7 +174,6 @@ class Coordinator(Process):
             RunRegistry(loader, loader),  # type: ignore[arg-type]
             lambda key, message, channel: put(self.bus, key, message, channel),
             batch_size=batch_size,
-            checked=checked,
             events=EventLog(self._show),
             on_epoch=self._open_to_workers,
             on_finished=lambda run, _now: self.note(f"{run.name} is done"),

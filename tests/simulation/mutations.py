@@ -12,7 +12,7 @@ from typing import Any
 from unittest.mock import patch
 
 import msgspec
-from tests.simulation.plan import History, unchecked, wild, with_bad_workers
+from tests.simulation.plan import History, wild, with_bad_workers
 from tests.simulation.play import play
 
 from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder
@@ -20,16 +20,12 @@ from qdgrasp_coordinator.recorder.recorder import Recorder, ReportSchedule
 from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
 from qdgrasp_coordinator.scheduler import batch_dispatcher as dispatching
 from qdgrasp_coordinator.scheduler import worker_registry
-from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
-from qdgrasp_coordinator.scheduler.batch_queue import Batch, BatchQueue, Settlement
-from qdgrasp_coordinator.scheduler.batch_table import BatchTable
-from qdgrasp_coordinator.scheduler.cross_checks import CheckVerdict, CrossChecks
+from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher, LeaseTable, Settlement
+from qdgrasp_coordinator.scheduler.batch_queue import Batch, BatchQueue
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox
-from qdgrasp_coordinator.scheduler.shape_queue import ShapeQueue
-from qdgrasp_coordinator.scheduler.worker import Worker
-from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, WorkerRegistry
+from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, Worker, WorkerRegistry
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.runtime.job_registry import JobSession
@@ -87,9 +83,9 @@ def _keep_held(on_answer: Real, session: JobSession, *answer: Any) -> bool:
     return is_current
 
 
-def _keep_settled(close: Real, batches: BatchTable, state: Any, winner: str | None = None) -> None:
+def _keep_settled(close: Real, batches: LeaseTable, state: Any, winner: str | None = None) -> None:
     close(batches, state, winner)
-    vars(batches).setdefault("kept", {})[state.batch.id] = state
+    vars(batches).setdefault("kept", {})[state.id] = state
 
 
 def _settle_again(classify: Real, batches: Any, wid: str, result: Any) -> Settlement:
@@ -100,13 +96,13 @@ def _settle_again(classify: Real, batches: Any, wid: str, result: Any) -> Settle
     return Settlement.FRESH
 
 
-def _close_and_keep(batches: BatchTable, state: Any, winner: str | None = None) -> None:
-    batches._settled[state.batch.id] = (batches._open.pop(state.batch.id).leased, winner)
+def _close_and_keep(batches: LeaseTable, state: Any, winner: str | None = None) -> None:
+    batches._settled[state.id] = (batches._open.pop(state.id).leased, winner)
 
 
-def _accept_any_worker(classify: Real, batches: BatchTable, wid: str, result: Any) -> Settlement:
+def _accept_any_worker(classify: Real, batches: LeaseTable, wid: str, result: Any) -> Settlement:
     state = batches._open.get(result.batch)
-    if state is not None and result.n == len(state.batch):
+    if state is not None and result.n == len(state):
         state.leased.add(wid)
     return classify(batches, wid, result)
 
@@ -118,10 +114,10 @@ def _forget_requeued(requeue: Real, dispatcher: Dispatcher, wid: str, batch_ids:
 
 def _requeue_held(requeue: Real, dispatcher: Dispatcher, wid: str, batch_ids: Any) -> int:
     ids = list(batch_ids)
-    held = [state for one in ids if (state := dispatcher._batches.find(one)) and len(state.holders) > 1]
+    held = [state for one in ids if (state := dispatcher._table.find(one)) and len(state.holders) > 1]
     count: int = requeue(dispatcher, wid, ids)
     for state in held:
-        dispatcher._requeue(state.batch)
+        dispatcher._requeue(state)
     return count
 
 
@@ -200,21 +196,9 @@ def _no(_worker: Worker) -> bool:
     return False
 
 
-# Checks and bad workers.
-
-
-def _believe_the_odd_one(decide: Real, checks: CrossChecks, name: bytes, right: Any) -> CheckVerdict:
-    others = tuple(worker for worker in checks.find(name).answers if worker not in right)  # type: ignore[union-attr]
-    return decide(checks, name, others or right)
-
-
-def _give_back(_dispatcher: Dispatcher, worker: Worker, batch: Batch, _now: float) -> bool:
-    return batch.check is None or worker.name not in batch.tried_by
-
-
-def _confirm_all(must_wait: Real, checks: CrossChecks, worker: Any) -> bool:
-    checks._confirmed.add(worker.wid)
-    return must_wait(checks, worker)
+def _only_batches(requeue: Real, dispatcher: Dispatcher, task: Any) -> None:
+    if isinstance(task, Batch):
+        requeue(dispatcher, task)
 
 
 PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] = {
@@ -224,11 +208,11 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
     },
     ("5", "settled once", wild): {
         "settle twice": [
-            around(BatchTable, "close", _keep_settled),
-            around(BatchTable, "classify", _settle_again),
+            around(LeaseTable, "close", _keep_settled),
+            around(LeaseTable, "classify", _settle_again),
         ],
         "take a result from a worker that was not leased it": [
-            around(BatchTable, "classify", _accept_any_worker)
+            around(LeaseTable, "classify", _accept_any_worker)
         ],
     },
     ("8", "acknowledged when durable", wild): {
@@ -246,8 +230,9 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
     ("7", "told in order", wild): {
         "tell out of order": [patch.object(GenerationBuffer, "ready_rows", _ready_with_gaps)]
     },
-    ("8", "epochs rise", unchecked): {
-        "take rows of an older epoch": [around(Recorder, "add_rows", _take_any_epoch)]
+    ("8", "epochs rise", wild): {
+        "the epoch is not stored": [off(LockedJobFolder, "store_epoch")],
+        "take rows of an older epoch": [around(Recorder, "add_rows", _take_any_epoch)],
     },
     ("8", "true journal", wild): {"take rows past a gap": [around(RunWriter, "add", _take_past_gaps)]},
     ("4", "progress", wild): {
@@ -293,31 +278,19 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
         ],
     },
     ("5", "bounded memory", wild): {
-        "remember every batch": [patch.object(BatchTable, "close", _close_and_keep)]
+        "remember every batch": [patch.object(LeaseTable, "close", _close_and_keep)]
     },
     ("6", "progress", wild): {"poison is tried for ever": [patch.object(dispatching, "STRIKES", 10**9)]},
     ("7", "bounded memory", wild): {
         "a finished run stays in the backlog": [around(Dispatcher, "withdraw", _withdraw_half)]
     },
-    ("8", "epochs rise", wild): {"the epoch is not stored": [off(LockedJobFolder, "store_epoch")]},
     ("13", "bounded work", wild): {"a worker that builds gets batches": [value(Worker, "is_building", _no)]},
-    ("13", "nothing is lost", wild): {"queue no build again": [patch.object(ShapeQueue, "requeue")]},
-    ("14", "settled once", with_bad_workers): {
-        "a worker's first results count unchecked": [around(CrossChecks, "must_wait", _confirm_all)],
-        "the odd one is believed": [around(CrossChecks, "decide", _believe_the_odd_one)],
-    },
-    ("14", "progress", with_bad_workers): {
-        "results of an excluded worker are kept": [patch.object(CrossChecks, "take_excluded", lambda _: [])]
-    },
-    ("14", "progress", wild): {
-        "a check waits for a worker that never comes": [
-            patch.object(CrossChecks, "end_hopeless", lambda *_: iter(()))
-        ],
+    ("13", "nothing is lost", wild): {
+        "queue no build again": [around(Dispatcher, "_requeue", _only_batches)]
     },
     ("6", "settled once", with_bad_workers): {
         "one worker's failures make an error": [
-            patch.object(Dispatcher, "_may_have", _give_back),
-            patch.object(Dispatcher, "_is_given_up", lambda _, tried, __: len(tried) >= dispatching.STRIKES),
+            patch.object(Dispatcher, "_may_have", lambda *_: True),
         ],
     },
     ("6", "nothing is lost", wild): {

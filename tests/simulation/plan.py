@@ -33,7 +33,6 @@ FAULTS = {
 
 
 BAD = {
-    "lies": "it answers with other results than its simulator's",
     "sick": "its simulator fails on every row",
     "silent": "it shows progress, and takes a minute for a row",
     "slow": "it takes forty times as long as others",
@@ -72,8 +71,6 @@ class History:
     """True if each run waits for a shape that a worker builds."""
     builders: float = 1.0
     """Share of the workers that build shapes."""
-    checked: float = 0.0
-    """Share of the rows that a second worker evaluates."""
     bad: tuple[str, ...] = ()
     """Kinds of bad workers that join when others are there: of `BAD`."""
 
@@ -103,7 +100,6 @@ def draw(number: int) -> History:
         faults=_faults(chance),
         has_shapes=chance.random() < 0.5,
         builders=chance.choice([1.0, 1.0, 0.5, 0.0]),
-        checked=chance.choice([0.0, 0.01, 0.3]),
     )
     more = range(runs, 3 if history.has_shapes else runs)  # others are evaluated while shapes are built
     return replace(
@@ -114,11 +110,6 @@ def draw(number: int) -> History:
 def wild(number: int) -> History:
     """The history of a number, with every fault there is, and often."""
     return replace(draw(number), faults={name: 2 * rate for name, rate in FAULTS.items()})
-
-
-def unchecked(number: int) -> History:
-    """The wild history of a number in which every result counts at once."""
-    return replace(wild(number), checked=0.0)
 
 
 def some_history(number: int) -> History:
@@ -138,7 +129,6 @@ def with_bad_workers(number: int) -> History:
         faults={name: rate for name, rate in history.faults.items() if name in HARMLESS},
         has_shapes=False,
         failure_rate=0.0,
-        checked=chance.choice([0.01, 0.1]),
         bad=tuple(chance.sample(sorted(BAD), chance.choice([1, 1, 2]))),
     )
 

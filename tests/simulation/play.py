@@ -18,7 +18,7 @@ from tests.simulation.simulation import P, Simulation, SimulationChecker
 from tests.simulation.worker import Worker
 
 from qdgrasp_coordinator.recorder import run_writer
-from qdgrasp_coordinator.scheduler import batch_table, recorder_client
+from qdgrasp_coordinator.scheduler import batch_dispatcher, recorder_client
 
 
 class Faults:
@@ -138,7 +138,7 @@ SMALL_BOUNDS = [
     (recorder_client, "MESSAGE_ROWS", 4),
     (recorder_client, "MOST_UNCONFIRMED", 8),
     (recorder_client, "REPLAY_ROWS", 7),
-    (batch_table, "MOST_SETTLED", 30),
+    (batch_dispatcher, "MOST_SETTLED", 30),
     (run_writer, "GROUP_ROWS", 6),
     (run_writer, "MOST_WAITING", 150),
 ]

@@ -20,16 +20,14 @@ from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.recorder import run_writer
 from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.run_writer import Arrival
-from qdgrasp_coordinator.scheduler import batch_table, recorder_client
-from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, Settlement, SettleReply, asked_rows
-from qdgrasp_coordinator.scheduler.cross_checks import HeldResult
+from qdgrasp_coordinator.scheduler import batch_dispatcher, recorder_client
+from qdgrasp_coordinator.scheduler.batch_dispatcher import Lease, Settlement, SettleReply, ShapeBuild
+from qdgrasp_coordinator.scheduler.batch_queue import RunRef
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox, RecorderClient
-from qdgrasp_coordinator.scheduler.run_plan import RunPlan
+from qdgrasp_coordinator.scheduler.run_plan import BuildReply, RunPlan
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
-from qdgrasp_coordinator.scheduler.shape_queue import BuildLease, BuildReply, ShapeBuild
-from qdgrasp_coordinator.scheduler.worker import SCENES_KEPT
-from qdgrasp_coordinator.scheduler.worker_registry import TURNAROUNDS_KEPT, LostWorker
+from qdgrasp_coordinator.scheduler.worker_registry import SCENES_KEPT, TURNAROUNDS_KEPT, LostWorker
 from qdgrasp_protocol.build_messages import Built, ShapeTask
 from qdgrasp_protocol.messages import Recordable, Recorded, Result
 from qdgrasp_protocol.rows import Rows
@@ -178,7 +176,6 @@ class Simulation:
             list(self.plans),
             self._plan,
             self.history.batch_size,
-            checked=self.history.checked,
             on_epoch=self.checker.began,
             built=self.built,
         )
@@ -238,9 +235,9 @@ class DispatchChecker:
         self._dispatch, self._workers = host.scheduler.dispatcher, host.scheduler.workers
         self.builds: set[str] = set()
         """Keys of shapes that were asked for and are not settled."""
-        for name in ("submit", "withdraw", "leases", "settle", "take_released"):
+        for name in ("submit", "withdraw", "leases", "settle"):
             self._wrap(self._dispatch, name)
-        for name in ("build", "build_leases", "settle_build", "withdraw_builds", "unbuildable"):
+        for name in ("build", "settle_build", "withdraw_builds", "give_up_build"):
             self._wrap(self._dispatch, name)
         self._wrap(self._workers, "overdue")
 
@@ -263,16 +260,18 @@ class DispatchChecker:
     def _leases(self, now: float) -> list[Lease]:
         leases = self._real_leases(now)
         for lease in leases:
-            require(
-                lease.batch.id not in self._settled, "settled once", "leased again:", lease.batch.id.hex()
-            )
+            require(lease.task.id not in self._settled, "settled once", "leased again:", lease.task.id.hex())
             worker = self._workers._workers[lease.wid]
             held = len(worker.batches)
             require(held <= CREDIT, "bounded work", "worker", lease.wid, "is leased", held)
-            require(not worker.is_building, "bounded work", "worker", lease.wid, "builds a shape")
-            self._leased.setdefault(lease.batch.id, set()).add(lease.wid)
+            if isinstance(lease.task, ShapeBuild):
+                builds = sum(worker.batches.values())
+                require(builds == 1, "bounded work", "worker", lease.wid, "has another build")
+            else:
+                require(not worker.is_building, "bounded work", "worker", lease.wid, "builds a shape")
+            self._leased.setdefault(lease.task.id, set()).add(lease.wid)
             self._host.note(
-                f"leases {lease.batch.id.hex()[-4:]} to worker {int(lease.wid, 16)}, join {lease.join}"
+                f"leases {lease.task.id.hex()[-4:]} to worker {int(lease.wid, 16)}, join {lease.join}"
             )
         waits = any(waiting for waiting in self._dispatch._queue._runs.values())
         workers = list(self._workers)
@@ -281,7 +280,7 @@ class DispatchChecker:
         require(not (waits and free), "work is handed out", "nothing is leased to", free)
         for batch in self._dispatch._queue._again.values():
             may = [w.wid for w in workers if w.wid in free and self._dispatch._may_have(w, batch, now)]
-            require(not may, "work is handed out", "no check or failed row is leased to", may)
+            require(not may, "work is handed out", "no failed row is leased to", may)
         return leases
 
     def _settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply:
@@ -298,28 +297,12 @@ class DispatchChecker:
             self._check_rows(result.run, settled.rows)
         return settled
 
-    def _take_released(self, now: float) -> list[HeldResult]:
-        released = self._real_take_released(now)
-        for result in released:
-            self._check_rows(result.run.run, result.rows)
-        return released
-
     def _build(self, tasks: Iterable[ShapeTask]) -> None:
         asked = list(tasks)
         keys = {task.key for task in asked}
         require(self.builds.isdisjoint(keys) and len(keys) == len(asked), "nothing is lost", "built twice")
         self.builds |= keys
         self._real_build(asked)
-
-    def _build_leases(self, now: float) -> list[BuildLease]:
-        leases = self._real_build_leases(now)
-        for lease in leases:
-            held = self._workers._workers[lease.wid].batches
-            require(len(held) <= CREDIT, "bounded work", "worker", lease.wid, "is leased", len(held))
-            require(sum(held.values()) == 1, "bounded work", "worker", lease.wid, "has another build")
-            self._leased.setdefault(lease.build.id, set()).add(lease.wid)
-            self._host.note(f"leases the build {lease.build.id.hex()[-4:]} to worker {int(lease.wid, 16)}")
-        return leases
 
     def _settle_build(self, wid: str, built: Built, now: float) -> BuildReply | None:
         reply = self._real_settle_build(wid, built, now)
@@ -336,10 +319,10 @@ class DispatchChecker:
         self.builds.clear()
         return self._real_withdraw_builds()
 
-    def _unbuildable(self, now: float) -> list[ShapeTask]:
-        tasks = self._real_unbuildable(now)
-        self.builds -= {task.key for task in tasks}
-        return tasks
+    def _give_up_build(self) -> ShapeTask | None:
+        task = self._real_give_up_build()
+        self.builds -= {task.key} if task else set()
+        return task
 
     def _check_rows(self, run: str, rows: Rows) -> None:
         asked = self._task.shape.empty(len(rows))
@@ -373,22 +356,19 @@ class DispatchChecker:
             for rows in (*waiting.uncut, *(batch.rows for batch in waiting.again.values())):
                 places += _keys(run, rows)
         for batch in self._dispatch._queue._again.values():
-            places += [] if batch.check else _keys(batch.run.run, batch.rows)
-        for result in self._dispatch.checks.held:
-            places += _keys(result.run.run, asked_rows(result.rows))
+            places += _keys(batch.run.run, batch.rows)
         held: dict[str, set[bytes]] = {wid: set() for wid in workers}
-        builds = [build.task.key for build in self._dispatch._shapes]
-        builds += [task.key for task in self._dispatch._unanswered]
-        for state in self._dispatch._batches._open.values():
-            if not state.holders:
+        builds = [build.task.key for build in self._dispatch._builds]
+        for task in self._dispatch._table._open.values():
+            if not task.holders:
                 continue
-            require(len(state.holders) <= 2, "bounded work", "a batch has", len(state.holders), "holders")
-            for holder in state.holders:
-                held.setdefault(holder, set()).add(state.batch.id)
-            if isinstance(state.batch, ShapeBuild):
-                builds.append(state.batch.task.key)
-            elif state.batch.check is None:
-                places += _keys(state.batch.run.run, state.batch.rows)
+            require(len(task.holders) <= 2, "bounded work", "a batch has", len(task.holders), "holders")
+            for holder in task.holders:
+                held.setdefault(holder, set()).add(task.id)
+            if isinstance(task, ShapeBuild):
+                builds.append(task.task.key)
+            else:
+                places += _keys(task.run.run, task.rows)
         require(sorted(builds) == sorted(self.builds), "nothing is lost", "builds:", builds, self.builds)
         require(len(places) == len(set(places)), "nothing is lost", "a row is in two places")
         require(
@@ -404,21 +384,16 @@ class DispatchChecker:
         """Check credit, and how much is remembered."""
         for worker in self._workers:
             require(len(worker.scenes) <= SCENES_KEPT, "bounded memory", "scenes")
-        batches, timeout = self._dispatch._batches, self._workers.lease_timeout
-        checks = [state for state in batches._open.values() if getattr(state.batch, "check", None)]
-        most = len(self.outstanding) + len(self.builds) + len(checks)
-        held = {result.worker for result in self._dispatch.checks.held}
-        most_checks = len(self._dispatch.checks.held) + len(held) + len(self._workers)
-        require(len(self._dispatch.checks._checks) <= most_checks, "bounded memory", "checks")
+        batches, timeout = self._dispatch._table, self._workers.lease_timeout
+        most = len(self.outstanding) + len(self.builds)
         require(len(batches._open) <= most, "bounded memory", "open batches")
-        require(len(batches._settled) <= batch_table.MOST_SETTLED, "bounded memory", "settled batches")
+        require(len(batches._settled) <= batch_dispatcher.MOST_SETTLED, "bounded memory", "settled batches")
         require(len(timeout._turnarounds) <= TURNAROUNDS_KEPT, "bounded memory", "turnarounds")
         open_runs = {run.name for run in self._host.scheduler.runs}
         require(set(self._dispatch._queue._runs) <= open_runs, "bounded memory", "rows of finished runs")
 
     def check_workers(self, living: set[str]) -> None:
         """Check that only workers that are there are remembered."""
-        living = living | {worker.wid for worker in self._workers if worker.is_excluded}  # have just left
         gone = set(self._workers._workers) - living
         require(not gone, "bounded memory", "workers that are gone:", gone)
         gone = self._workers.alive - living

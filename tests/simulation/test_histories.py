@@ -1,8 +1,6 @@
 """Every invariant holds under faults of machines, links and disks; mutations are noticed."""
 
 from dataclasses import replace
-from itertools import pairwise
-from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
@@ -14,12 +12,11 @@ from tests.coordinator.search.synthetic_scene import plain
 from tests.fakes.messages import ANN, join_message
 from tests.simulation.invariants import INVARIANTS
 from tests.simulation.mutations import MUTATIONS, Mutation, noticed
-from tests.simulation.network import LEASE, Clock, LinkQuality, Network, Session, World
-from tests.simulation.plan import FAULTS, History, draw
+from tests.simulation.network import LEASE, LinkQuality, Network, Session, World
+from tests.simulation.plan import FAULTS, History, some_history
 from tests.simulation.play import Verdict, play
 
-from qdgrasp_coordinator.scheduler.batch_queue import Settlement
-from qdgrasp_coordinator.scheduler.batch_table import BatchTable
+from qdgrasp_coordinator.scheduler.batch_dispatcher import LeaseTable, Settlement
 from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_coordinator.search.aimed import FIRST_EXPLORING
 from qdgrasp_coordinator.search.base import SearchAlgorithm
@@ -32,7 +29,7 @@ from qdgrasp_worker.runtime.job_registry import RETRY_FIRST, JobSession
 
 
 def leased(dispatch: Dispatch) -> bytes:
-    return dispatch.leases(0.0)[0].batch.id
+    return dispatch.leases(0.0)[0].task.id
 
 
 def test_a_result_for_another_coordinator_of_the_same_epoch_settles_nothing() -> None:
@@ -128,14 +125,13 @@ def check(history: History) -> Verdict:
 
 @pytest.mark.parametrize("trouble", TROUBLE.values(), ids=TROUBLE)
 def test_every_invariant_holds_with(trouble: dict[str, object]) -> None:
-    for number in range(4):
+    for number in range(2):
         check(replace(QUIET, number=number, **trouble))
 
 
-@pytest.mark.parametrize("first", [0, 60])
-def test_every_invariant_holds_with_all_of_it_together(first: int) -> None:
-    for number in range(first, first + 30):
-        check(draw(number))
+def test_every_invariant_holds_with_all_of_it_together() -> None:
+    for number in range(12):
+        check(some_history(number))
 
 
 @pytest.mark.slow
@@ -143,7 +139,7 @@ def test_every_invariant_holds_with_all_of_it_together(first: int) -> None:
 @pytest.mark.parametrize("first", range(0, 5000, 500))
 def test_every_invariant_holds_in_thousands_of_histories(first: int) -> None:
     for number in range(first, first + 500):
-        check(draw(number))
+        check(some_history(number))
 
 
 def test_a_history_is_a_function_of_its_number() -> None:
@@ -153,7 +149,7 @@ def test_a_history_is_a_function_of_its_number() -> None:
     assert one.events == other.events
 
 
-@pytest.mark.parametrize("number", range(5))
+@pytest.mark.parametrize("number", range(2))
 def test_without_trouble_every_batch_is_evaluated_once(number: int) -> None:
     counters = check(replace(QUIET, number=number)).counters
     unwanted = ("duplicate", "late", "unknown", "foreign", "requeued")
@@ -210,13 +206,12 @@ SEARCHES = {entry.build: entry for entry in PAPER}.values()
 
 @pytest.mark.parametrize("entry", SEARCHES, ids=lambda entry: entry.name)
 def test_the_methods_end_with_the_same_journal_through_all_of_it(entry: Method) -> None:
-    for seed in range(3):
+    for seed in range(2):
         plan = Plan(seed=seed, population=30, evaluations=100, task=plain_task(entry))
         assert journal_of(plan, seed) == reference(plan)
 
 
-@pytest.mark.parametrize("overlaps", ["redraw", "count"])
-@pytest.mark.parametrize(("in_flight", "most"), [(1, 0), (2, 0), (1, 3)])
+@pytest.mark.parametrize(("in_flight", "most", "overlaps"), [(2, 0, "count"), (1, 3, "redraw")])
 def test_the_search_that_aims_ends_with_the_same_journal_through_all_of_it(in_flight, most, overlaps) -> None:
     plan = Plan(
         seed=7,
@@ -227,25 +222,22 @@ def test_the_search_that_aims_ends_with_the_same_journal_through_all_of_it(in_fl
         most_in_flight=most,
         task=aimed_task(overlaps),
     )
-    journals = {journal_of(plan, number) for number in (1, 2)}
+    journals = {journal_of(plan, 1)}
     assert journals == {reference(plan)}
     rows = np.frombuffer(journals.pop(), plan.task.shape.dtype)
     assert synthetic_scene.covered(rows[rows["generation"] > FIRST_EXPLORING // 25]) > 20
 
 
-RARE = (
-    "ask once to join",
-    "forget before durable",
-    "never forget a worker",
-    "poison is tried for ever",
-    "report commits only, once",
+QUICK = (
+    *("drop the join fence", "settle twice", "acknowledge before durable", "take rows past a gap"),
+    *("tell out of order", "a join queues nothing again", "give up while cut off", "ignore credit"),
 )
-"""Mutations that few histories notice: `make simulate` looks for all of them."""
+"""Mutations that are tried in each test: `make simulate` tries all of them."""
 
 
 @pytest.mark.parametrize(
     "mutation",
-    [pytest.param(one, marks=pytest.mark.slow if one.name in RARE else ()) for one in MUTATIONS],
+    [pytest.param(one, marks=() if one.name in QUICK else pytest.mark.slow) for one in MUTATIONS],
     ids=lambda mutation: mutation.name,
 )
 def test_it_is_noticed_within_some_histories_to(mutation: Mutation) -> None:
@@ -257,18 +249,12 @@ def test_an_invariant_that_is_not_to_notice_a_mutation_does_not_count() -> None:
         raise ZeroDivisionError
 
     for invariant, count in (("settled once", None), ("no machine fails", 1)):
-        mutation = Mutation("fail", "5", invariant, (patch.object(BatchTable, "classify", fail),))
+        mutation = Mutation("fail", "5", invariant, (patch.object(LeaseTable, "classify", fail),))
         assert noticed(mutation, most=3) == count
 
 
 def test_every_invariant_is_to_notice_something() -> None:
     assert {mutation.invariant for mutation in MUTATIONS} == set(INVARIANTS)
-
-
-def test_the_page_names_every_invariant_and_every_mutation() -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "simulation.md").read_text(encoding="utf-8")
-    missing = [name for name in (*INVARIANTS, *(m.name for m in MUTATIONS)) if f"| {name} |" not in page]
-    assert missing == []
 
 
 class Listener:
@@ -358,14 +344,6 @@ def test_what_is_sent_over_a_link_that_breaks_is_lost_and_both_ends_notice() -> 
     assert pair.bob.links == [False, True]
 
 
-def test_what_is_put_without_a_link_is_lost() -> None:
-    pair = Pair(LinkQuality())
-    pair.network.drop(pair.sender)
-    pair.send(1)
-    pair.run(60)
-    assert pair.bob.numbers == []
-
-
 def test_a_token_vanishes_with_its_session_and_comes_back_with_it() -> None:
     pair = Pair(LinkQuality())
     pair.network.watch(pair.hearer, "live/*")
@@ -377,29 +355,3 @@ def test_a_token_vanishes_with_its_session_and_comes_back_with_it() -> None:
     pair.run(5)
     changes = [event.alive for _, event in pair.bob.heard if isinstance(event, TokenChange)]
     assert changes == [True, False, True, False]
-
-
-def test_clocks_differ_and_waiting_ends_when_they_show_it() -> None:
-    world = World(0)
-    clock = Clock(world, offset=1000.0, rate=0.98)
-    before = clock.now
-    world.now += clock.span(10.0)
-    assert clock.now >= before + 10.0
-    assert world.now > 10.0
-    assert all(one <= other for one, other in pairwise([before, clock.now]))
-
-
-def test_a_token_that_two_sessions_have_is_gone_with_the_second() -> None:
-    pair = Pair(LinkQuality())
-    third = pair.network.open(Listener(pair.world, "eve"))
-    pair.network.watch(pair.hearer, "live/*")
-    for session in (pair.sender, third):
-        pair.network.token(session, "live/twin")
-    pair.run(5)
-    pair.network.close(third)
-    pair.run(5)
-    assert [event.alive for _, event in pair.bob.heard if isinstance(event, TokenChange)] == [True, True]
-    pair.network.close(pair.sender)
-    pair.run(5)
-    assert isinstance(pair.bob.heard[-1][1], TokenChange)
-    assert not pair.bob.heard[-1][1].alive

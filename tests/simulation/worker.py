@@ -186,8 +186,6 @@ class FormulaSimulator:
         rows["trial"] = np.frombuffer(batch.columns["trial"], "<u2")
         found = self._task.evaluate(rows[start : start + n])
         failed = [place for place, row in enumerate(found) if self._fails(row)]
-        if self._bad == "lies":
-            found["descriptor"] *= np.float32(0.5)
         ends = [place for place in failed if found["genome"][place, 1] > 0]
         if ends:
             self._die(-SIGABRT if found["genome"][ends[0], 2] > 0 else 1)

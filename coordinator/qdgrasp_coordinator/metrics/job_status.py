@@ -172,9 +172,8 @@ class WorkerStatus(Struct, frozen=True, kw_only=True):
     pid: Annotated[int, "Of its process."]
     state: Annotated[
         str,
-        '"working", "idle", "stuck" (it let a lease pass, or does not answer), "sick" (its simulator failed '
-        'on rows that others evaluated), "excluded" (it answered other than two others), "leaving" (it is '
-        'drained) or "gone".',
+        '"working", "idle", "stuck" (it let a lease pass, or does not answer), "leaving" (it is drained) or '
+        '"gone".',
     ]
     batches: Annotated[int, "Batches that it holds."]
     rows: Annotated[int, "Rows that it has settled."]
@@ -301,8 +300,6 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
         int,
         "Batches that were leased to a second worker, as the first has held them for long, in this epoch.",
     ] = 0
-    checked: Annotated[int, "Rows that a second worker has evaluated, in this epoch."] = 0
-    differing: Annotated[int, "Rows to which workers answered differently, in this epoch."] = 0
     strays: Annotated[
         int,
         "Results that were dropped in this epoch: late, duplicate, unknown, or of another worker's batch.",

@@ -1,83 +1,193 @@
-"""Dispatch: which worker gets which batch, and which result counts.
+"""Dispatch: which worker gets which batch or build, and which answer counts.
 
 Rules 1, 5 and 6 of docs/bus.md as plain state. Evaluation is pure, so a batch that is lost in flight
 is evaluated again, and the first result of a batch is as good as any other. Time is passed in, in seconds of
 any steady clock.
 """
 
-from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
-from functools import partial
-from math import inf
+import secrets
+from collections import OrderedDict, deque
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
 
+import msgspec
 import numpy as np
 
-from qdgrasp_coordinator.scheduler.batch_queue import (
-    Batch,
-    BatchQueue,
-    Lease,
-    RunRef,
-    Settlement,
-    SettleReply,
-    WorkerName,
-    asked_rows,
-    complete_rows,
-)
-from qdgrasp_coordinator.scheduler.batch_table import BatchState, BatchTable
-from qdgrasp_coordinator.scheduler.cross_checks import (
-    CHECKED_ROWS,
-    CHECKED_SHARE,
-    Check,
-    CheckVerdict,
-    CrossChecks,
-    HeldResult,
-)
+from qdgrasp_coordinator.scheduler.batch_queue import Batch, BatchQueue, RunRef, Task
 from qdgrasp_coordinator.scheduler.pipeline import Generation
-from qdgrasp_coordinator.scheduler.shape_queue import BuildLease, BuildReply, ShapeBuild, ShapeQueue
-from qdgrasp_coordinator.scheduler.worker import Worker, names_of
-from qdgrasp_coordinator.scheduler.worker_registry import WorkerRegistry
-from qdgrasp_protocol.build_messages import Built, ShapeTask
-from qdgrasp_protocol.messages import Failure, Join, Result
-from qdgrasp_protocol.rows import Rows
+from qdgrasp_coordinator.scheduler.run_plan import BuildReply
+from qdgrasp_coordinator.scheduler.worker_registry import Worker, WorkerRegistry
+from qdgrasp_protocol.build_messages import Build, Built, ShapeTask
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import Failure, Join, Result, Work, shorten
+from qdgrasp_protocol.rows import RESULT, Rows, RowShape, unpack_possible
 
-MOST_BUILD_LEASES = 5  # Leases of a build without an answer after which it is not leased again
-BUILDER_SECONDS = 30.0  # Seconds for which a worker that has the code for a build is waited for
 STRIKES = 3
-"""Workers on which a row failed after which it is settled as an error; where there are fewer, tries."""
-EARLY_SECONDS = 5.0
-"""Seconds after the first join in which a coordinator that took over expects workers to join again."""
-_COUNTED = ("leased", "requeued", "doubled", "failures", "errors", "checked", "differing")
+"""Tries of a row that fails, or leases of a build, after which it is given up."""
+MOST_SETTLED = 10_000
+"""Settled batches that are remembered, to tell duplicate and late results from unknown ones."""
+_COUNTED = ("leased", "requeued", "doubled", "failures", "errors")
+
+
+@dataclass(eq=False, kw_only=True)
+class ShapeBuild(Task):
+    """A shape that one worker is to build; a worker that holds one gets nothing else."""
+
+    task: ShapeTask
+
+
+@dataclass(frozen=True)
+class Lease:
+    """A batch or a build leased to a worker."""
+
+    wid: str
+    join: int
+    """The worker's join number; the worker drops what it was sent for an older one."""
+    attempt: int
+    """Counts the leases of this batch, from 1."""
+    task: Batch | ShapeBuild
+
+    def message(self, epoch: int) -> Work | Build:
+        """Return the message to the worker."""
+        lease, task = {"epoch": epoch, "attempt": self.attempt, "join": self.join}, self.task
+        if isinstance(task, ShapeBuild):
+            return Build(batch=task.id, task=task.task, **lease)
+        return Work(
+            batch=task.id,
+            run=task.run.run,
+            scene=task.run.scene,
+            prior=task.run.prior,
+            generation=task.rows.number,
+            n=len(task),
+            genes=task.rows.genomes.shape[1],
+            columns={
+                "index": task.rows.indices.astype("<u4").tobytes(),
+                "trial": task.rows.trials.astype("<u2").tobytes(),
+                "genome": task.rows.genomes.astype("<f4").tobytes(),
+            },
+            **lease,
+        )
+
+
+class Settlement(Enum):
+    """Kinds of results."""
+
+    FRESH = "fresh"
+    """The first result of its batch: it is taken, all others are dropped."""
+    DUPLICATE = "duplicate"
+    """Its sender has already settled this batch."""
+    LATE = "late"
+    """Another worker has already settled this batch."""
+    UNKNOWN = "unknown"
+    """No such batch is known, or no longer."""
+    FOREIGN = "foreign"
+    """A result of another epoch, or from a worker that was never leased this batch."""
+
+
+@dataclass(frozen=True)
+class SettleReply:
+    """The answer to a result; the defaults are those of one that is dropped."""
+
+    kind: Settlement
+    rows: Rows | None = None
+    """Settled rows with keys, genomes and results, in the order of the batch; None unless fresh."""
+    cpu_seconds: float = 0.0
+    """Cost of the batch [CPU s]."""
+    failures: tuple[Failure, ...] = ()
+    """Reasons of final failures, by place in `rows`, which hold `Outcome.ERROR` and zeros."""
+    superseded: tuple[str, ...] = ()
+    """Other holders of the batch, which are to drop it; their credit is free already."""
+
+
+class LeaseTable:
+    """What is leased and not settled, and what was settled lately."""
+
+    def __init__(self, epoch: int) -> None:
+        self._epoch = epoch
+        self._open: OrderedDict[bytes, Batch | ShapeBuild] = OrderedDict()
+        """By id; the latest leases are at the end."""
+        self._settled: OrderedDict[bytes, tuple[set[str], str | None]] = OrderedDict()
+        """By id: the workers that were leased it, and the one that settled it; None: withdrawn."""
+
+    def hand_over(self, task: Batch | ShapeBuild, wid: str, now: float) -> None:
+        """Record that a worker holds a batch from now on."""
+        task.holders[wid] = now
+        self._open[task.id] = task
+        self._open.move_to_end(task.id)
+
+    def late(self, before: float) -> list[Batch]:
+        """Return batches that one worker has held since before a time, those held for longest first.
+
+        Rows on which others failed are not among them: they may end any worker's process.
+        """
+        found = []
+        for task in self._open.values():
+            if isinstance(task, ShapeBuild) or not task.holders:
+                continue
+            if max(task.holders.values()) > before:
+                break
+            if len(task.holders) == 1 and not task.tried_by:
+                found.append(task)
+        return found
+
+    @property
+    def leased(self) -> int:
+        """Number of batches and builds that workers hold."""
+        return sum(bool(task.holders) for task in self._open.values())
+
+    def find(self, task_id: bytes) -> Batch | ShapeBuild | None:
+        """Return what was leased by its id; None: never leased, or settled."""
+        return self._open.get(task_id)
+
+    def batches_of(self, run: str) -> list[Batch]:
+        """Return a run's leased, unsettled batches."""
+        return [task for task in self._open.values() if isinstance(task, Batch) and task.run.run == run]
+
+    @property
+    def builds(self) -> list[ShapeBuild]:
+        """Leased, unsettled builds."""
+        return [task for task in self._open.values() if isinstance(task, ShapeBuild)]
+
+    def close(self, task: Task, winner: str | None = None) -> None:
+        """Move a batch to the settled ones, without its rows; without a winner if withdrawn."""
+        del self._open[task.id]
+        self._settled[task.id] = (task.leased, winner)
+        if len(self._settled) > MOST_SETTLED:
+            self._settled.popitem(last=False)
+
+    def classify(self, wid: str, result: Result | Built) -> Settlement:
+        """Return the kind of a result on a worker's key; MessageError if it does not fit its batch."""
+        task = self._open.get(result.batch)
+        leased, winner = (task.leased, None) if task else self._settled.get(result.batch, (None, None))
+        if result.epoch != self._epoch or (leased is not None and wid not in leased):
+            return Settlement.FOREIGN
+        if task is not None:
+            _check_result(task, result)
+            return Settlement.FRESH
+        if leased is None:
+            return Settlement.UNKNOWN
+        return Settlement.DUPLICATE if winner == wid else Settlement.LATE
 
 
 class Dispatcher:
-    """Leases the rows of all runs of a job to its workers.
+    """Leases the rows of all runs of a job, and builds of shapes, to its workers.
 
-    A batch has `batch_size` rows; None: as many as take about a quarter of a second. The share `checked` of
-    the rows is evaluated by a second worker.
+    A batch has `batch_size` rows; None: as many as take about a quarter of a second.
     """
 
-    def __init__(
-        self,
-        epoch: int,
-        workers: WorkerRegistry,
-        batch_size: int | None = None,
-        checked: float = CHECKED_SHARE,
-    ) -> None:
+    # Everything that was asked and is not settled is in one place: it waits in the queue, or is held by a
+    # worker, or by two where the first is slow. Only `settle`, `withdraw` and `give_up_build` take it out.
+
+    def __init__(self, epoch: int, workers: WorkerRegistry, batch_size: int | None = None) -> None:
         self.counters = dict.fromkeys((*(kind.value for kind in Settlement), *_COUNTED), 0)
-        """Results by kind; batches leased, queued again, leased to a second worker; rows failed, given up,
-        checked, and in checks that differed."""
-        self._sick: list[Worker] = []
-        self.checks = CrossChecks(checked)
-        self._verdicts: list[CheckVerdict] = []
+        """Results by kind; batches leased, queued again, leased to a second worker; rows failed, given up."""
         self._workers = workers
         self._queue = BatchQueue(batch_size)
-        self._shapes = ShapeQueue()
-        self._unanswered: deque[ShapeTask] = deque()  # Builds that were leased too often without an answer
-        self._lacks_builder_since = inf
-        self._batches = BatchTable(epoch)
-        self._takes_over = epoch > 1
-        self._first_join = inf
+        self._table = LeaseTable(epoch)
+        self._builds: deque[ShapeBuild] = deque()  # That wait for a worker
+        self._prefix = secrets.token_bytes(8)
+        self._begun_builds = 0
 
     def submit(self, run: RunRef, generation: Generation) -> None:
         """Queue rows of one generation of a run."""
@@ -86,58 +196,16 @@ class Dispatcher:
     def withdraw(self, run: str) -> dict[str, list[bytes]]:
         """Forget all rows of a run; gives the batches that workers may drop, by worker."""
         self._queue.withdraw(run)
-        self.checks.withdraw(run)
-        return self._withdraw(self._batches.of(run))
+        return self._withdraw(self._table.batches_of(run))
 
-    def _withdraw(self, states: list[BatchState]) -> dict[str, list[bytes]]:
+    def _withdraw(self, tasks: Iterable[Task]) -> dict[str, list[bytes]]:
         drops: dict[str, list[bytes]] = {}
-        for state in states:
-            for holder in state.holders:
-                drops.setdefault(holder, []).append(state.batch.id)
-                self._workers.release(holder, state.batch.id)
-            self._batches.close(state)
+        for task in tasks:
+            for holder in task.holders:
+                drops.setdefault(holder, []).append(task.id)
+                self._workers.release(holder, task.id)
+            self._table.close(task)
         return drops
-
-    def build(self, tasks: Iterable[ShapeTask]) -> None:
-        """Queue shapes that are to be built."""
-        self._shapes.submit(tasks)
-
-    def withdraw_builds(self) -> dict[str, list[bytes]]:
-        """Forget all builds; gives those that workers may drop, by worker."""
-        self._shapes.clear()
-        self._unanswered.clear()
-        return self._withdraw(self._batches.builds)
-
-    def unbuildable(self, now: float) -> list[ShapeTask]:
-        """Take back at most one build that waits and that no worker here is likely to do.
-
-        It was leased often without an answer, failed on all workers with the code for it, or there has been
-        no such worker that is well for `BUILDER_SECONDS`, while there were others.
-        """
-        if self._unanswered:
-            return [self._unanswered.popleft()]
-        if not self._shapes:
-            self._lacks_builder_since = inf
-            return []
-        workers = [worker for worker in self._workers if worker.is_well]
-        codes = {worker.join.builds for worker in workers}
-        build = next((build for build in self._shapes if self._has_failed_everywhere(build, workers)), None)
-        if build is None and workers and all(build.task.code not in codes for build in self._shapes):
-            self._lacks_builder_since = min(self._lacks_builder_since, now)
-            is_late = now >= self._lacks_builder_since + BUILDER_SECONDS
-            build = next(iter(self._shapes)) if is_late else None
-        elif build is None:
-            self._lacks_builder_since = inf
-        if build is None:
-            return []
-        self._shapes.remove(build)
-        if (state := self._batches.find(build.id)) is not None:
-            self._batches.close(state)
-        return [build.task]
-
-    def _has_failed_everywhere(self, build: ShapeBuild, workers: Iterable[Worker]) -> bool:
-        able = {worker.wid for worker in workers if worker.join.builds == build.task.code}
-        return bool(able) and able <= build.failed_by
 
     @property
     def queued_seconds(self) -> float:
@@ -146,28 +214,39 @@ class Dispatcher:
 
     def wanted_workers(self, *, is_leasing: bool) -> int:
         """Return how many workers leased batches, and rows and builds to be leased, could keep busy."""
-        return self._batches.leased + (self._queue.batches + len(self._shapes) if is_leasing else 0)
+        return self._table.leased + (self._queue.batches + len(self._builds) if is_leasing else 0)
 
     @property
     def strays(self) -> int:
         """Number of dropped results: late, duplicate, unknown or foreign."""
         return sum(self.counters[kind.value] for kind in Settlement if kind is not Settlement.FRESH)
 
+    # Leases.
+
     def leases(self, now: float) -> list[Lease]:
-        """Lease what is queued to workers with credit left; send them in this order.
+        """Lease what waits to workers with credit left, builds first; send them in this order.
 
         Where nothing waits, idle workers are leased batches that others have held for long.
         """
-        leases: list[Lease] = []
+        leases = [self._lease(build, worker, now) for build, worker in self._next_builds(now)]
         for worker in self._workers.idle(now) if self._queue or self._queue.has_tried else ():
             batch = self._next_batch(worker, now)
             if batch is not None:
-                leases.append(self._lease_batch(batch, worker, now))
+                leases.append(self._lease(batch, worker, now))
             elif not (self._queue or self._queue.has_tried):
                 break
         if not self._queue:
             leases += self._double_leases(now)
         return leases
+
+    def _next_builds(self, now: float) -> Iterator[tuple[ShapeBuild, Worker]]:
+        for worker in self._workers.idle(now) if self._builds else ():
+            code = worker.join.builds
+            fitting = (build for build in self._builds if code and build.task.code == code)
+            build = next((build for build in fitting if build.attempts < STRIKES), None)
+            if build is not None:
+                self._builds.remove(build)
+                yield build, worker
 
     def _next_batch(self, worker: Worker, now: float) -> Batch | None:
         """Return the next batch for a worker, if there is one."""
@@ -179,51 +258,39 @@ class Dispatcher:
         return None if run is None else self._queue.pop(run, len(self._workers), rows)
 
     def _may_have(self, worker: Worker, batch: Batch, now: float) -> bool:
-        """Return whether a worker may have a batch that others have tried."""
+        """Return whether a worker may have a failed row: one that has not tried it, if there is one."""
         if batch.run.needs_device and not worker.join.rows:
             return False
-        is_again = worker.name in batch.tried_by
-        if is_again and (batch.check is not None or self._expects_other(batch.tried_by, now)):
-            return False
-        return self._workers.may_have(worker, batch.tried_by)
+        return worker.wid not in batch.tried_by or not self._workers.expects_other(batch.tried_by, now)
 
     def _double_leases(self, now: float) -> Iterator[Lease]:
         """Lease to idle workers batches that others have held for long; these keep them too."""
-        late = self._batches.late(now - self._workers.lease_timeout.straggling)
+        late = self._table.late(now - self._workers.lease_timeout.straggling)
         for worker in self._workers.idle(now) if late else ():
             if worker.batches or not late:
                 return
-            state = next((state for state in late if self._may_double(worker, state, now)), None)
-            if state is None or not isinstance(state.batch, Batch):
-                continue
-            late.remove(state)
-            self.counters["doubled"] += 1
-            yield self._lease_batch(state.batch, worker, now)
+            batch = next((one for one in late if self._may_double(worker, one)), None)
+            if batch is not None:
+                late.remove(batch)
+                self.counters["doubled"] += 1
+                yield self._lease(batch, worker, now)
 
-    def _may_double(self, worker: Worker, state: BatchState, now: float) -> bool:
-        batch, is_new = state.batch, worker.wid not in state.leased
-        return is_new and isinstance(batch, Batch) and self._may_have(worker, batch, now)
+    def _may_double(self, worker: Worker, batch: Batch) -> bool:
+        return worker.wid not in batch.leased and not (batch.run.needs_device and not worker.join.rows)
 
-    def _lease_batch(self, batch: Batch, worker: Worker, now: float) -> Lease:
-        return Lease(worker.wid, worker.join.number, self._lease(batch, worker, now), batch)
-
-    def build_leases(self, now: float) -> list[BuildLease]:
-        """Lease builds that wait to workers that have the code for them; send them before batches."""
-        leases: list[BuildLease] = []
-        for worker in self._workers.idle(now) if self._shapes else ():
-            if (build := self._shapes.pop(worker.wid, worker.join.builds)) is not None:
-                attempt = self._lease(build, worker, now)
-                leases.append(BuildLease(worker.wid, worker.join.number, attempt, build))
-        return leases
-
-    def _lease(self, batch: Batch | ShapeBuild, worker: Worker, now: float) -> int:
-        """Lease a batch or build to a worker; returns how many leases of it there were."""
-        state = self._batches.open(batch)
-        state.attempts += 1
-        state.leased.add(worker.wid)
-        self._hand_over(state, worker, now)
+    def _lease(self, task: Batch | ShapeBuild, worker: Worker, now: float) -> Lease:
+        task.attempts += 1
+        task.leased.add(worker.wid)
+        self._hand_over(task, worker, now)
         self.counters["leased"] += 1
-        return state.attempts
+        return Lease(worker.wid, worker.join.number, task.attempts, task)
+
+    def _hand_over(self, task: Batch | ShapeBuild, worker: Worker, now: float) -> None:
+        self._table.hand_over(task, worker.wid, now)
+        scene = task.run.scene if isinstance(task, Batch) else None
+        self._workers.hold(worker, task.id, scene, now)
+
+    # Workers come and go.
 
     def join(self, join: Join, now: float) -> list[bytes]:
         """Admit a worker, or admit it again; returns the batches that it is to drop.
@@ -232,242 +299,185 @@ class Dispatcher:
         nothing. Raises Refused if it is not admitted.
         """
         before = self._workers.join(join, now)
-        self._first_join = min(self._first_join, now)
         worker = self._workers.get(join.wid)
         if before is None or worker is None:
             return []
         listed = list(dict.fromkeys(join.held))
-        kept = {batch_id: state for batch_id in listed if (state := self._own(join.wid, batch_id))}
-        self.requeue(join.wid, [batch_id for batch_id in before if batch_id not in kept])
-        for state in kept.values():
-            self._remove(state.batch)
-            self._hand_over(state, worker, now)
-        return [batch_id for batch_id in listed if batch_id not in kept]
+        kept = {task_id: task for task_id in listed if (task := self._own(join.wid, task_id))}
+        self.requeue(join.wid, [task_id for task_id in before if task_id not in kept])
+        for task in kept.values():
+            self._remove(task)
+            self._hand_over(task, worker, now)
+        return [task_id for task_id in listed if task_id not in kept]
 
-    def requeue(self, wid: str, batch_ids: Iterable[bytes]) -> int:
-        """Queue unsettled batches that a worker has lost and no other holds; returns their number."""
-        held = [state for batch_id in batch_ids if (state := self._batches.find(batch_id))]
-        for state in held:
-            state.holders.pop(wid, None)
-        states = [state for state in held if not state.holders]
-        for state in states:
-            if isinstance(state.batch, ShapeBuild) and state.attempts >= MOST_BUILD_LEASES:
-                self._batches.close(state)
-                self._unanswered.append(state.batch.task)
-            else:
-                self._requeue(state.batch)
-        self.counters["requeued"] += len(states)
-        return len(states)
-
-    def _requeue(self, batch: Batch | ShapeBuild) -> None:
-        if isinstance(batch, Batch):
-            self._queue.requeue(batch)
-        else:
-            self._shapes.requeue(batch)
-
-    def _remove(self, batch: Batch | ShapeBuild) -> None:
-        if isinstance(batch, Batch):
-            self._queue.remove(batch)
-        else:
-            self._shapes.remove(batch)
-
-    def _hand_over(self, state: BatchState, worker: Worker, now: float) -> None:
-        self._batches.hand_over(state, worker.wid, now)
-        scene = state.batch.run.scene if isinstance(state.batch, Batch) else None
-        self._workers.hold(worker, state.batch.id, scene, now)
-
-    def _own(self, wid: str, batch_id: bytes) -> BatchState | None:
+    def _own(self, wid: str, task_id: bytes) -> Batch | ShapeBuild | None:
         """Return a batch that a worker may go on with, held by it or waiting; else None."""
-        state = self._batches.find(batch_id)
-        is_own = state is not None and wid in state.leased and not state.holders.keys() - {wid}
-        return state if is_own else None
+        task = self._table.find(task_id)
+        is_own = task is not None and wid in task.leased and not task.holders.keys() - {wid}
+        return task if is_own else None
+
+    def requeue(self, wid: str, task_ids: Iterable[bytes]) -> int:
+        """Queue unsettled batches that a worker has lost and no other holds; returns their number."""
+        held = [task for task_id in task_ids if (task := self._table.find(task_id))]
+        for task in held:
+            task.holders.pop(wid, None)
+        lost = [task for task in held if not task.holders]
+        for task in lost:
+            self._requeue(task)
+        self.counters["requeued"] += len(lost)
+        return len(lost)
+
+    def _requeue(self, task: Batch | ShapeBuild) -> None:
+        if isinstance(task, Batch):
+            self._queue.requeue(task)
+        elif task not in self._builds:
+            self._builds.appendleft(task)
+
+    def _remove(self, task: Batch | ShapeBuild) -> None:
+        """Take a batch or build out of the queue, if it waits there to be leased again."""
+        if isinstance(task, Batch):
+            self._queue.remove(task)
+        elif task in self._builds:
+            self._builds.remove(task)
+
+    # Answers.
 
     def settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply:
         """Settle a result: the first of a batch counts, if its sender was leased the batch.
 
         Keys and genomes are filled into `rows`, the unpacked columns of the result that came on the key of
-        worker `wid`. A result to be checked first, or of a check, is fresh and has no rows: `take_released`
-        gives them later. Raises MessageError if its run or number of rows is not its batch's, or it names a
+        worker `wid`. Raises MessageError if its run or number of rows is not its batch's, or it names a
         failed row that the batch has not.
         """
-        if wid in self.checks.excluded:
-            self.counters[Settlement.FOREIGN.value] += 1
-            return SettleReply(Settlement.FOREIGN)
-        kind, state = self._close(wid, result, now)
-        if state is None or not isinstance(state.batch, Batch):
+        kind, batch = self._close(wid, result, now)
+        if not isinstance(batch, Batch):
             return SettleReply(kind)
-        batch, worker = state.batch, self._workers.name(wid)
         self._queue.measure(batch, result.cpu_seconds)
-        if wid in state.holders:
-            self._workers.lease_timeout.measure(now - state.holders[wid])
-        superseded = self._release_others(state, wid)
+        if wid in batch.holders:
+            self._workers.lease_timeout.measure(now - batch.holders[wid])
+        superseded = self._release_others(batch, wid)
         complete_rows(rows, batch, {failure.row for failure in result.failures})
-        if batch.check is not None:
-            self._settle_check(batch.check, worker, rows, is_failed=bool(result.failures))
-            return SettleReply(kind, superseded=superseded)
-        reply = replace(self._split(batch, worker, result, rows, now), superseded=superseded)
-        return self._hold(batch, worker, reply, now)
+        return replace(self._split(batch, wid, result, rows), superseded=superseded)
 
-    # Checks.
-
-    def _expects_other(self, workers: tuple[WorkerName, ...], now: float) -> bool:
-        """Return whether another worker is there, or is likely to be soon, as it was before."""
-        is_early = self._takes_over and now < self._first_join + EARLY_SECONDS
-        return is_early or self._workers.expects_other(workers, now)
-
-    def _hold(self, batch: Batch, worker: WorkerName, reply: SettleReply, now: float) -> SettleReply:
-        """Return a reply without its rows if these are to be checked first, or their worker is."""
-        rows = reply.rows
-        if rows is None or not len(rows) or reply.failures or batch.run.needs_device:
-            return reply
-        n = self.checks.rows_to_check(batch)
-        is_checked = n > 0 and self._workers.has_other((worker,))
-        if not is_checked and not (self.checks.must_wait(worker) and self._expects_other((worker,), now)):
-            return reply
-        check = self._begin_check(batch.run, worker, rows[:n], is_first=False) if is_checked else None
-        self.checks.hold(HeldResult(worker, batch.run, reply, rows, check))
-        return replace(reply, rows=None)
-
-    def _begin_check(self, run: RunRef, worker: WorkerName, rows: Rows, *, is_first: bool) -> bytes:
-        """Queue rows that a worker has evaluated for another one; returns the id of the check."""
-        asked = asked_rows(rows)
-        name = self._queue.check(run, asked, (worker,))
-        self.checks.open(name, Check(run, asked, {worker: rows.tobytes()}, is_first=is_first))
-        return name
-
-    def _settle_check(self, name: bytes, worker: WorkerName, rows: Rows, *, is_failed: bool) -> None:
-        """Compare rows with what others answered; one more worker is asked if they differ from all."""
-        check = self.checks.find(name)
-        if check is None:
-            return
-        if is_failed:
-            check.failed_on = (*check.failed_on, worker)
-        elif (verdict := self.checks.answer(name, worker, rows.tobytes())) is not None:
-            self._end_check(verdict)
-            return
-        else:
-            self.counters["differing"] += len(rows)
-        self._queue.check(check.run, check.rows, check.tried_by, name)
-
-    def _end_check(self, verdict: CheckVerdict) -> None:
-        self.counters["checked"] += verdict.rows
-        self._verdicts.append(verdict)
-        for worker in verdict.wrong:
-            self.requeue(worker.wid, self._workers.exclude(worker.wid))
-        for result in self.checks.take_excluded():
-            self._queue.submit_again(result.run, asked_rows(result.rows))
-
-    def take_released(self, now: float) -> list[HeldResult]:
-        """Return results that were held and are not in doubt any more.
-
-        Checks are begun for workers that no other has confirmed, and ended where no worker can decide them.
-        """
-        if not self.checks.held and not self.checks.are_open:
-            return []
-        expects_other = partial(self._expects_other, now=now)
-        for result in self.checks.unchecked():
-            if self._workers.has_other((result.worker,)):
-                self._begin_check(result.run, result.worker, result.rows[: CHECKED_ROWS // 2], is_first=True)
-        for name, verdict in self.checks.end_hopeless(expects_other, self._is_here):
-            self._queue.drop_check(name)
-            if verdict is not None:
-                self._end_check(verdict)
-        for name in self.checks.take_needless():
-            self._queue.drop_check(name)
-        return self.checks.take_released(expects_other)
-
-    def take_verdicts(self) -> list[CheckVerdict]:
-        """Return how checks have ended since the last call."""
-        verdicts, self._verdicts = self._verdicts, []
-        return verdicts
-
-    def take_sick(self) -> list[Worker]:
-        """Return the workers that became sick since the last call."""
-        sick, self._sick = self._sick, []
-        return sick
-
-    def _is_here(self, name: WorkerName) -> bool:
-        worker = self._workers.get(name.wid)
-        return worker is not None and not worker.is_drained
-
-    @property
-    def trouble(self) -> str:
-        """Names of workers that disagree while no other can decide; empty where none do."""
-        for check in self.checks.disputes:
-            if not self._workers.has_other(check.tried_by):
-                return (
-                    f"workers {names_of(check.answers)} answer the same {len(check.rows)} rows of run "
-                    f"'{check.run.run}' differently: start another worker, which decides, or drain the one "
-                    "that is wrong"
-                )
-        return ""
-
-    def settle_build(self, wid: str, built: Built, now: float) -> BuildReply | None:
-        """Settle the answer to a build; None: it is dropped, or the build is tried again.
-
-        A build that failed is tried again until it failed too often. Raises MessageError as `settle`.
-        """
-        if self._is_at_another(wid, built):
-            self._workers.answered(wid, built.batch, now)
-            return None
-        _, state = self._close(wid, built, now)
-        if state is None or not isinstance(state.batch, ShapeBuild):
-            return None
-        superseded = self._release_others(state, wid)
-        if built.reason and not built.is_final and len(state.batch.failed_by) + 1 < STRIKES:
-            self._shapes.requeue_failed(state.batch, wid)
-            return None
-        return BuildReply.of(state.batch, built, superseded)
-
-    def _is_at_another(self, wid: str, built: Built) -> bool:
-        """Return whether a build failed on a worker while another one goes on with it."""
-        is_fresh = self._batches.classify(wid, built) is Settlement.FRESH
-        state = self._batches.find(built.batch) if is_fresh and built.reason and not built.is_final else None
-        return state is not None and bool(state.holders.keys() - {wid})
-
-    def _close(self, wid: str, result: Result | Built, now: float) -> tuple[Settlement, BatchState | None]:
-        """Settle a batch or build by its first result; gives its state if this is that one."""
-        kind = self._batches.classify(wid, result)
-        self.counters[kind.value] += 1
-        if kind is not Settlement.FOREIGN:
-            self._workers.answered(wid, result.batch, now)
-        state = self._batches.find(result.batch) if kind is Settlement.FRESH else None
-        if state is not None:
-            self._remove(state.batch)
-            self._batches.close(state, winner=wid)
-        return kind, state
-
-    def _release_others(self, state: BatchState, winner: str) -> tuple[str, ...]:
-        """Free the credit of other holders of a settled batch; returns these."""
-        others = tuple(holder for holder in state.holders if holder != winner)
-        for holder in others:
-            self._workers.release(holder, state.batch.id)
-        return others
-
-    def _split(self, batch: Batch, worker: WorkerName, result: Result, rows: Rows, now: float) -> SettleReply:
+    def _split(self, batch: Batch, wid: str, result: Result, rows: Rows) -> SettleReply:
         """Return the settled rows; queue failed ones for other workers until they failed too often."""
         failed = {failure.row: failure.reason for failure in result.failures}
         self.counters["failures"] += len(failed)
-        if not failed:
-            self._blame(batch.tried_by, now)
-            return SettleReply(Settlement.FRESH, rows, result.cpu_seconds)
-        tried = (*batch.tried_by, worker)
-        if not self._is_given_up(tried, now):
+        if len(batch.tried_by) + 1 < STRIKES:
             for place in sorted(failed):
-                self._queue.requeue_row(batch, place, worker)
-            return SettleReply(Settlement.FRESH, np.delete(rows, list(failed)), result.cpu_seconds)
+                self._queue.requeue_row(batch, place, wid)
+            settled = np.delete(rows, list(failed)) if failed else rows
+            return SettleReply(Settlement.FRESH, settled, result.cpu_seconds)
         self.counters["errors"] += len(failed)
         failures = tuple(Failure(row=place, reason=reason) for place, reason in failed.items())
         return SettleReply(Settlement.FRESH, rows, result.cpu_seconds, failures)
 
-    def _is_given_up(self, tried: tuple[WorkerName, ...], now: float) -> bool:
-        """Return whether a row failed on three workers, or so often where there are fewer."""
-        return len(tried) >= STRIKES and (len(set(tried)) >= STRIKES or not self._expects_other(tried, now))
+    def _close(
+        self, wid: str, result: Result | Built, now: float
+    ) -> tuple[Settlement, Batch | ShapeBuild | None]:
+        """Settle a batch or build by its first result; gives it if this is that one."""
+        kind = self._table.classify(wid, result)
+        self.counters[kind.value] += 1
+        if kind is not Settlement.FOREIGN:
+            self._workers.answered(wid, result.batch, now)
+        task = self._table.find(result.batch) if kind is Settlement.FRESH else None
+        if task is not None:
+            self._remove(task)
+            self._table.close(task, winner=wid)
+        return kind, task
 
-    def _blame(self, tried: tuple[WorkerName, ...], now: float) -> None:
-        """Count rows that one worker has evaluated as faults of those that failed on them."""
-        for name in set(tried):
-            sick = self._workers.blame(name.wid, now)
-            if sick is not None:
-                self.checks.doubt(name.wid)
-                self._sick.append(sick)
+    def _release_others(self, task: Task, winner: str) -> tuple[str, ...]:
+        """Free the credit of other holders of a settled batch; returns these."""
+        others = tuple(holder for holder in task.holders if holder != winner)
+        for holder in others:
+            self._workers.release(holder, task.id)
+        return others
+
+    # Builds.
+
+    def build(self, tasks: Iterable[ShapeTask]) -> None:
+        """Queue shapes that are to be built."""
+        self._builds.extend(map(self._new_build, tasks))
+
+    def _new_build(self, task: ShapeTask, attempts: int = 0) -> ShapeBuild:
+        self._begun_builds += 1
+        return ShapeBuild(id=self._prefix + self._begun_builds.to_bytes(8), task=task, attempts=attempts)
+
+    def settle_build(self, wid: str, built: Built, now: float) -> BuildReply | None:
+        """Settle the answer to a build; None: it is dropped, or the build is tried again.
+
+        A build that failed is tried again until it was leased too often. Raises MessageError as `settle`.
+        """
+        build = self._table.find(built.batch)
+        is_late = build is not None and wid in build.leased and build.holders.keys() - {wid}
+        if is_late and built.reason and not built.is_final:  # another worker is at work on it
+            self._workers.answered(wid, built.batch, now)
+            return None
+        _, build = self._close(wid, built, now)
+        if not isinstance(build, ShapeBuild):
+            return None
+        superseded = self._release_others(build, wid)
+        if built.reason and not built.is_final and build.attempts < STRIKES:
+            self._builds.appendleft(self._new_build(build.task, build.attempts))
+            return None
+        return BuildReply(build.task.key, built.pieces, built.reason, built.cpu_seconds, superseded)
+
+    def give_up_build(self) -> ShapeTask | None:
+        """Take back a build that no worker here is likely to do; None: there is none.
+
+        It was leased too often, or of the workers that are well none has the code for it.
+        """
+        codes = {worker.join.builds for worker in self._workers if worker.is_well}
+        for build in self._builds:
+            if build.attempts >= STRIKES or (codes and build.task.code not in codes):
+                self._builds.remove(build)
+                if self._table.find(build.id) is not None:
+                    self._table.close(build)
+                return build.task
+        return None
+
+    def withdraw_builds(self) -> dict[str, list[bytes]]:
+        """Forget all builds; gives those that workers may drop, by worker."""
+        self._builds.clear()
+        return self._withdraw(self._table.builds)
+
+
+def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:
+    """Fill the batch's keys and genomes into result rows; failed rows then hold zeros else."""
+    if failed:
+        rows[list(failed)] = np.zeros((), dtype=rows.dtype)
+    rows["generation"] = batch.rows.number
+    rows["index"] = batch.rows.indices
+    rows["trial"] = batch.rows.trials
+    rows["genome"] = batch.rows.genomes
+
+
+def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
+    """Return a result and its rows; impossible ones count as failed, unreadable ones all."""
+    if len(result.failures) == result.n:
+        return result, shape.empty(result.n)
+    rows = shape.empty(result.n)
+    try:
+        reasons = unpack_possible(rows, RESULT, result.columns)
+    except MessageError as error:
+        rows, reasons = shape.empty(result.n), dict.fromkeys(range(result.n), str(error))
+    if reasons:
+        rows[list(reasons)] = np.zeros((), dtype=rows.dtype)
+        told = {failure.row: failure.reason for failure in result.failures} | reasons
+        failures = [Failure(row=row, reason=shorten(reason)) for row, reason in sorted(told.items())]
+        result = msgspec.structs.replace(result, failures=failures)
+    return result, rows
+
+
+def _check_result(task: Batch | ShapeBuild, result: Result | Built) -> None:
+    if isinstance(task, ShapeBuild) or isinstance(result, Built):
+        if not (isinstance(task, ShapeBuild) and isinstance(result, Built)):
+            raise MessageError("a shape is no answer to a batch, nor rows to a build")
+        return
+    if result.run != task.run.run:
+        raise MessageError(f"a result is of run '{result.run}', its batch of '{task.run.run}'")
+    if result.n != len(task):
+        raise MessageError(f"a result has {result.n} rows, its batch {len(task)}")
+    for failure in result.failures:
+        if failure.row >= result.n:
+            raise MessageError(f"a result of {result.n} rows names row {failure.row} as failed")

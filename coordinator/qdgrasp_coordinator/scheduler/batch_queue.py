@@ -4,19 +4,11 @@ import secrets
 from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from enum import Enum
 from heapq import heappop, heappush
 from math import ceil, sqrt
-from typing import NamedTuple
-
-import msgspec
-import numpy as np
 
 from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_protocol.engines import DEVICE_ENGINE
-from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Failure, Result, Work, shorten
-from qdgrasp_protocol.rows import RESULT, Rows, RowShape, unpack_possible
 
 
 @dataclass(frozen=True)
@@ -36,127 +28,31 @@ class RunRef:
         return self.engine == DEVICE_ENGINE
 
 
-class WorkerName(NamedTuple):
-    """A worker, and where it runs."""
-
-    wid: str
-    host: str
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Rows of one generation of one run that are leased together."""
+@dataclass(eq=False, kw_only=True)
+class Task:
+    """What a worker is leased: a batch of rows, or a build of a shape."""
 
     id: bytes
     """16 bytes: random ones of the epoch and a counter, not used again in the job."""
+    attempts: int = 0
+    """Leases of it so far."""
+    holders: dict[str, float] = field(default_factory=dict)
+    """Workers that hold it, and when they were leased it; none: it waits."""
+    leased: set[str] = field(default_factory=set)
+    """All workers that were ever leased it."""
+
+
+@dataclass(eq=False, kw_only=True)
+class Batch(Task):
+    """Rows of one generation of one run that are leased together."""
+
     run: RunRef
     rows: Generation
-    tried_by: tuple[WorkerName, ...] = ()
-    """Workers after which another one is to evaluate these rows.
-
-    The simulator failed on a row, which is alone then, or the rows are a check.
-    """
-    check: bytes | None = None
-    """The id of the check that these rows are evaluated for; None: they are evaluated to be recorded."""
+    tried_by: tuple[str, ...] = ()
+    """Workers whose simulator failed on this row, which is alone then: another one is to evaluate it."""
 
     def __len__(self) -> int:
         return len(self.rows)
-
-
-@dataclass(frozen=True)
-class Lease:
-    """A batch leased to a worker."""
-
-    wid: str
-    join: int
-    """The worker's join number; the worker drops what it was sent for an older one."""
-    attempt: int
-    """Counts the leases of this batch, from 1."""
-    batch: Batch
-
-    def work(self, epoch: int) -> Work:
-        """Return the message to the worker."""
-        run, rows = self.batch.run, self.batch.rows
-        return Work(
-            epoch=epoch,
-            run=run.run,
-            scene=run.scene,
-            prior=run.prior,
-            generation=rows.number,
-            batch=self.batch.id,
-            attempt=self.attempt,
-            join=self.join,
-            n=len(rows),
-            genes=rows.genomes.shape[1],
-            columns={
-                "index": rows.indices.astype("<u4").tobytes(),
-                "trial": rows.trials.astype("<u2").tobytes(),
-                "genome": rows.genomes.astype("<f4").tobytes(),
-            },
-        )
-
-
-class Settlement(Enum):
-    """Kinds of results."""
-
-    FRESH = "fresh"
-    """The first result of its batch: it is taken, all others are dropped."""
-    DUPLICATE = "duplicate"
-    """Its sender has already settled this batch."""
-    LATE = "late"
-    """Another worker has already settled this batch."""
-    UNKNOWN = "unknown"
-    """No such batch is known, or no longer."""
-    FOREIGN = "foreign"
-    """A result of another epoch, or from a worker that was never leased this batch."""
-
-
-@dataclass(frozen=True)
-class SettleReply:
-    """The answer to a result; the defaults are those of one that is dropped."""
-
-    kind: Settlement
-    rows: Rows | None = None
-    """Settled rows with keys, genomes and results, in the order of the batch; None unless fresh."""
-    cpu_seconds: float = 0.0
-    """Cost of the batch [CPU s]."""
-    failures: tuple[Failure, ...] = ()
-    """Reasons of final failures, by place in `rows`, which hold `Outcome.ERROR` and zeros."""
-    superseded: tuple[str, ...] = ()
-    """Other holders of the batch, which are to drop it; their credit is free already."""
-
-
-def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:
-    """Fill the batch's keys and genomes into result rows; failed rows then hold zeros else."""
-    if failed:
-        rows[list(failed)] = np.zeros((), dtype=rows.dtype)
-    rows["generation"] = batch.rows.number
-    rows["index"] = batch.rows.indices
-    rows["trial"] = batch.rows.trials
-    rows["genome"] = batch.rows.genomes
-
-
-def asked_rows(rows: Rows) -> Generation:
-    """Return rows of one generation as they were asked, without results."""
-    trials, genomes = rows["trial"].copy(), rows["genome"].copy()
-    return Generation(int(rows["generation"][0]), rows["index"].copy(), trials, genomes)
-
-
-def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
-    """Return a result and its rows; impossible ones count as failed, unreadable ones all."""
-    if len(result.failures) == result.n:
-        return result, shape.empty(result.n)
-    rows = shape.empty(result.n)
-    try:
-        reasons = unpack_possible(rows, RESULT, result.columns)
-    except MessageError as error:
-        rows, reasons = shape.empty(result.n), dict.fromkeys(range(result.n), str(error))
-    if reasons:
-        rows[list(reasons)] = np.zeros((), dtype=rows.dtype)
-        told = {failure.row: failure.reason for failure in result.failures} | reasons
-        failures = [Failure(row=row, reason=shorten(reason)) for row, reason in sorted(told.items())]
-        result = msgspec.structs.replace(result, failures=failures)
-    return result, rows
 
 
 BATCH_SECONDS = 0.25  # Target duration of a batch [s]
@@ -231,7 +127,7 @@ class BatchQueue:
         self._order = {False: RunOrder(), True: RunOrder()}
         """The waiting runs, those that need a device apart."""
         self._again: dict[bytes, Batch] = {}
-        """Batches for other workers than those that had them, by id."""
+        """Rows that failed, for other workers than those that had them, by the id of their batch."""
         self._begun = 0
         self._rows = 0
         """Number of waiting rows of all runs."""
@@ -321,7 +217,7 @@ class BatchQueue:
                 n = waiting.sizer.next_size(len(rows), workers, shared)
             if n < len(rows):
                 waiting.uncut.appendleft(rows[n:])
-            batch = Batch(self._new_id(), waiting.run, rows[:n])
+            batch = Batch(id=self._new_id(), run=waiting.run, rows=rows[:n])
         self._rows -= len(batch)
         self._served = waiting.served
         waiting.served += len(batch) * (waiting.sizer.seconds_per_row or 0.0)
@@ -349,24 +245,10 @@ class BatchQueue:
         waiting.again[batch.id] = batch
         self._order[batch.run.needs_device].put(waiting)
 
-    def requeue_row(self, batch: Batch, place: int, worker: WorkerName) -> None:
+    def requeue_row(self, batch: Batch, place: int, wid: str) -> None:
         """Queue a row that failed on a worker for another one, as a batch of its own."""
-        row = batch.rows[place : place + 1]
-        self.requeue(Batch(self._new_id(), batch.run, row, (*batch.tried_by, worker)))
-
-    def check(self, run: RunRef, rows: Generation, by: tuple[WorkerName, ...], check: bytes = b"") -> bytes:
-        """Queue rows that others have evaluated for one more worker; returns the check's id."""
-        name = self._new_id()
-        self.requeue(Batch(name, run, rows, by, check or name))
-        return check or name
-
-    def drop_check(self, check: bytes) -> None:
-        """Forget a check, if it waits."""
-        self._again = {name: batch for name, batch in self._again.items() if batch.check != check}
-
-    def submit_again(self, run: RunRef, rows: Generation) -> None:
-        """Have rows leased again whose results do not count."""
-        self.requeue(Batch(self._new_id(), run, rows))
+        row, tried = batch.rows[place : place + 1], (*batch.tried_by, wid)
+        self.requeue(Batch(id=self._new_id(), run=batch.run, rows=row, tried_by=tried))
 
     def remove(self, batch: Batch) -> None:
         """Forget a batch that was queued again, if it still waits."""

@@ -12,10 +12,8 @@ from contextlib import closing
 import structlog
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus
-from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE
-from qdgrasp_coordinator.scheduler.early_stop import EarlyStop
 from qdgrasp_coordinator.scheduler.inbox import AdminRequest, BusSubscriptions, Inbox, Wake
-from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
+from qdgrasp_coordinator.scheduler.job_scheduler import EarlyStop, JobScheduler
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue
 from qdgrasp_coordinator.scheduler.run_registry import RunLoader, RunRegistry
@@ -37,9 +35,8 @@ class CoordinatorService:
 
     As many runs of the queue are carried out at once as keep the workers busy; `make_sink` makes the sink
     that takes a run's rows, and `begin_epoch` asks a recorder for an epoch (`RunLoader`). A batch has
-    `batch_size` rows; None: measured. The share `checked` of rows is evaluated by a second worker too. After
-    `seconds` leases are withdrawn, what was found is recorded, and `run` returns; None: never. If `paused`,
-    nothing is handed out until a command continues the job.
+    `batch_size` rows; None: measured. After `seconds` leases are withdrawn, what was found is recorded, and
+    `run` returns; None: never. If `paused`, nothing is handed out until a command continues the job.
     """
 
     def __init__(
@@ -52,7 +49,6 @@ class CoordinatorService:
         make_sink: Callable[[RunPlan], RowSink],
         begin_epoch: Callable[[Callable[[], None]], Opened] | None = None,
         batch_size: int | None = None,
-        checked: float = CHECKED_SHARE,
         seconds: float | None = None,
         paused: bool = False,
     ) -> None:
@@ -66,7 +62,6 @@ class CoordinatorService:
             self._runs,
             self._put,
             batch_size=batch_size,
-            checked=checked,
             events=self._events,
             stopping=EarlyStop(seconds, time.monotonic()),
             on_epoch=self._open_to_workers,

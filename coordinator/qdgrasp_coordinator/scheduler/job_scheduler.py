@@ -9,19 +9,16 @@ import os
 import socket
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
-from dataclasses import replace
+from math import inf
 
 import structlog
 from msgspec import structs
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
 from qdgrasp_coordinator.metrics.time_left import TimeLeft, with_time_left
-from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher
-from qdgrasp_coordinator.scheduler.batch_queue import Settlement, SettleReply, read_result
-from qdgrasp_coordinator.scheduler.cross_checks import CHECKED_SHARE, CheckCounts, CheckVerdict
-from qdgrasp_coordinator.scheduler.early_stop import EarlyStop
+from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher, read_result
 from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest, LinkChange, TokenChange
-from qdgrasp_coordinator.scheduler.run_plan import ShapeWarning, WantedShapes
+from qdgrasp_coordinator.scheduler.run_plan import BuildReply, ShapeWarning, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
     EpochOpened,
@@ -32,9 +29,7 @@ from qdgrasp_coordinator.scheduler.run_registry import (
     RunRegistry,
     ShapesFound,
 )
-from qdgrasp_coordinator.scheduler.shape_queue import BuildReply
-from qdgrasp_coordinator.scheduler.worker import WID_DIGITS, choose_workers
-from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, WorkerRegistry
+from qdgrasp_coordinator.scheduler.worker_registry import WID_DIGITS, LostWorker, Worker, WorkerRegistry
 from qdgrasp_coordinator.storage.platforms import LacksEngine, admit_platform, lacks_engine
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Built
@@ -60,17 +55,50 @@ from qdgrasp_protocol.messages import (
     Result,
     worker_id,
 )
-from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted, first_few
 
 log = structlog.get_logger()
 
 AHEAD_SECONDS = 2.0  # Another run is wanted when less work than this waits for each worker
-RUNS_NAMED = 5  # Most runs that an event names
-COUNTERS_SHOWN = ("requeued", "doubled", "checked", "differing")
+COUNTERS_SHOWN = ("requeued", "doubled")
 
 PutMessage = Callable[[str, Message, Channel], None]
 """Sends a message on a key; messages are lost while there is no link."""
+
+
+LEAST_STOP_SECONDS = 0.2  # Shortest time that an ending takes [s], so that the asker gets its answer
+MOST_STOP_SECONDS = 5.0  # Longest wait for a recorder [s]; rows unrecorded by then are evaluated again
+
+
+class EarlyStop:
+    """Decides when a job ends early: when asked to, or by itself after `seconds`; None: never."""
+
+    reason: EndedEarly | None = None
+    """Reason of a requested end; None: not requested."""
+
+    def __init__(self, seconds: float | None, now: float) -> None:
+        self.deadline = inf if seconds is None else now + seconds
+        """When it is to begin by itself; infinite: never, or it has begun."""
+        self._began: float | None = None
+
+    def begin(self, now: float, reason: EndedEarly | None = None) -> None:
+        """Begin the ending: no more work is asked or handed out."""
+        self._began, self.reason, self.deadline = now, reason, inf
+
+    @property
+    def has_begun(self) -> bool:
+        """True if nothing is asked or leased any more; what was found is still recorded."""
+        return self._began is not None
+
+    def is_due(self, now: float) -> bool:
+        """True if it is to begin by itself now."""
+        return now >= self.deadline
+
+    def is_over(self, now: float, *, is_safe: bool) -> bool:
+        """True if the job may end now; `is_safe`: all results are recorded."""
+        if self._began is None:
+            return False
+        return now >= self._began + (LEAST_STOP_SECONDS if is_safe else MOST_STOP_SECONDS)
 
 
 class JobScheduler:
@@ -87,7 +115,6 @@ class JobScheduler:
         put: PutMessage,
         *,
         batch_size: int | None = None,
-        checked: float = CHECKED_SHARE,
         events: EventLog | None = None,
         stopping: EarlyStop | None = None,
         on_epoch: Callable[[int, str], None] = lambda _epoch, _identity: None,
@@ -105,20 +132,17 @@ class JobScheduler:
         self._results = self._keys.result("")
         self._put = put
         self._batch_size = batch_size
-        self._checked = checked
         self._on_epoch = on_epoch
         self._on_finished = on_finished
         self._recorders: set[str] = set()
         self._time_left = TimeLeft()
-        self._check_counts: dict[str, CheckCounts] = {}
-        """Rows of runs that were checked, until they are recorded with rows that become final."""
         self.start_epoch(0)
 
     def start_epoch(self, epoch: int) -> None:
         """Begin an epoch, without workers; in epoch 0, before one is issued, no worker is served."""
         self.epoch = epoch
         self.workers = WorkerRegistry()
-        self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size, self._checked)
+        self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size)
 
     def handle(self, event: InboxEvent, now: float) -> None:
         """Process an event, but for administrators' commands; TookOver if another coordinator did."""
@@ -180,63 +204,16 @@ class JobScheduler:
         settled = self.dispatcher.settle(wid, result, rows, now)
         for other in settled.superseded:
             self._drop(other, [result.batch])
-        if settled.kind is Settlement.FRESH and settled.rows is not None:
-            self._take_rows(run, wid, settled, settled.rows, now)
-
-    def _take_rows(self, run: ActiveRun, wid: str, settled: SettleReply, rows: Rows, now: float) -> None:
-        """Take rows of a worker for good, and pass those that became final on to the recorder."""
-        if len(rows) > len(settled.failures):
-            run.settled_by.add(wid)
-        self.workers.on_settled(wid, len(rows), now)
+        if settled.rows is None:
+            return
+        self.workers.on_settled(wid, len(settled.rows), now)
         if failures := settled.failures:
             rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
             words = f"{rows_of} given up after {STRIKES} tries: {failures[0].reason}."
             self.events.note("error", words, run=run.name, worker=wid)
-        part = run.pipeline.settle(rows, settled.cpu_seconds, settled.failures)
-        if len(part) and (counts := self._check_counts.pop(run.name, None)):
-            part = replace(part, checked=counts.checked, differing=counts.differing)
-        run.sink.push(part)
+        run.sink.push(run.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
         if run.pipeline.finished is not None:
             self._withdraw(run.name)
-
-    def _settle_checked(self, now: float) -> None:
-        """Take results that were held, and act on checks and failures of workers."""
-        released = self.dispatcher.take_released(now)
-        for verdict in self.dispatcher.take_verdicts():
-            self._on_verdict(verdict)
-        for result in released:
-            if (run := self.runs.get(result.run.run)) is not None and not run.goes_back:  # it asks again
-                self._take_rows(run, result.worker.wid, result.reply, result.rows, now)
-        for worker in self.dispatcher.take_sick():
-            words = (
-                f"{worker.description} is left out for {worker.sick_until - now:.0f} seconds: its simulator "
-                "failed on rows that others evaluated. Then it gets work again, which another one checks."
-            )
-            self.events.note("warning", words, worker=worker.wid)
-        for worker in self.workers.recovered(now):
-            self.events.note("worker", f"{worker.description} gets work again.", worker=worker.wid)
-
-    def _on_verdict(self, verdict: CheckVerdict) -> None:
-        """Count a check, and shut out the workers that were wrong."""
-        if self.runs.get(verdict.run) is not None:
-            counts = self._check_counts.setdefault(verdict.run, CheckCounts())
-            counts.checked += verdict.rows
-            counts.differing += verdict.rows * len(verdict.wrong)
-        for name in verdict.wrong:
-            log.warning("a worker is excluded", worker=name.wid[:WID_DIGITS], host=name.host, run=verdict.run)
-            self.events.note("error", verdict.words(name), run=verdict.run, worker=name.wid)
-            took_part = [run for run in self.runs if name.wid in run.settled_by]
-            named = [first_few([run.name for run in took_part], RUNS_NAMED)] if took_part else []
-            if name.wid in self.runs.settled_before:
-                named.append("runs that ended or were opened again")
-            if named:
-                rows = f"Earlier rows of worker {name.wid[:WID_DIGITS]} in {' and '.join(named)} may be wrong"
-                self.events.note("warning", f"{rows}: see `qdgrasp verify DIR`.", worker=name.wid)
-            self._send_away(name.wid)
-            for run in took_part:
-                if run.pipeline.finished is None:  # it is opened again once its settled rows are recorded
-                    self._withdraw(run.name)
-                    run.goes_back = True
 
     def _on_built(self, built: Built, wid: str, now: float) -> None:
         """Settle a build once; the runs that wait for its shape are opened, or fail."""
@@ -324,7 +301,6 @@ class JobScheduler:
     def _remove(self, run: ActiveRun, now: float) -> None:
         self._on_finished(run, now)
         self.runs.remove(run)
-        self._check_counts.pop(run.name, None)
         log.info("finished", run=run.name, reason=run.pipeline.finished)
         self.events.note("run", f"Run '{run.name}' is finished: {run.pipeline.finished}.", run=run.name)
 
@@ -379,12 +355,8 @@ class JobScheduler:
         """Do all steps that are due: give up workers, ask, record, lease, end and open runs."""
         for lost in self.workers.overdue(now):
             self._on_lost(lost)
-        self._settle_checked(now)
         for run in self.runs:
-            if run.goes_back and run.sink.is_empty:
-                self.runs.reopen(run)
-                continue
-            while self._may_ask(run) and (asked := run.pipeline.ask()) is not None:
+            while not (self.is_ending or run.sink.is_full) and (asked := run.pipeline.ask()) is not None:
                 self.dispatcher.submit(run.ref, asked)
             run.sink.tick(now)
         if not (self.is_paused or self.is_ending):
@@ -399,17 +371,13 @@ class JobScheduler:
         if self.stopping.is_due(now):
             self.stop(now)
 
-    def _may_ask(self, run: ActiveRun) -> bool:
-        return not (self.is_ending or run.sink.is_full or run.goes_back)
-
     def _lease(self, now: float) -> None:
         """Lease builds, then batches; a build that no worker here can do is left to the loader."""
-        for task in [] if self.runs.is_loading else self.dispatcher.unbuildable(now):
+        # One at a time, as the loader's thread builds it: others may find a worker meanwhile.
+        if not self.runs.is_loading and (task := self.dispatcher.give_up_build()) is not None:
             self.runs.shapes.end(BuildReply(task.key))
-        for build in self.dispatcher.build_leases(now):
-            self._put(self._keys.work(build.wid), build.message(self.epoch), Channel.DATA)
         for lease in self.dispatcher.leases(now):
-            self._put(self._keys.work(lease.wid), lease.work(self.epoch), Channel.DATA)
+            self._put(self._keys.work(lease.wid), lease.message(self.epoch), Channel.DATA)
 
     def next_deadline(self) -> float:
         """Return when `step` has something to do if nothing happens; infinite: never."""
@@ -487,7 +455,6 @@ class JobScheduler:
         figures = self.runs.status(self.job, len(self.workers), now)
         figures = structs.replace(
             figures,
-            trouble=figures.trouble or self.dispatcher.trouble,
             state=self.state,
             recorders=len(self._recorders),
             wanted_workers=self.dispatcher.wanted_workers(is_leasing=not (self.is_paused or self.is_ending)),
@@ -495,3 +462,26 @@ class JobScheduler:
             **{name: self.dispatcher.counters[name] for name in COUNTERS_SHOWN},
         )
         return with_time_left(figures, self.workers.at_work, self.runs.shapes_left, self._time_left, now)
+
+
+WORKERS_NAMED = 5  # Most workers that a refusal names
+
+
+def choose_workers(workers: list[Worker], worker: str, host: str, job: str) -> list[Worker]:
+    """Return the workers meant: one by the beginning of its id, or all of a host."""
+    if not (worker or host):
+        raise Refused("it is not said whom to drain: name a worker or a host")
+    if host:
+        named, found = f"on host '{host}'", [one for one in workers if one.join.host == host]
+    else:
+        named, found = f"'{worker}'", [one for one in workers if one.wid.startswith(worker)]
+    if not found:
+        raise Refused(f"job '{job}' has no worker {named}; {_list_workers(workers)}")
+    if worker and len(found) > 1:
+        raise Refused(f"job '{job}' has {len(found)} workers whose ids begin so; {_list_workers(found)}")
+    return found
+
+
+def _list_workers(workers: list[Worker]) -> str:
+    names = [f"{one.wid[:WID_DIGITS]} on {one.join.host}" for one in workers]
+    return f"there are {first_few(names, WORKERS_NAMED)}" if names else "none has joined"

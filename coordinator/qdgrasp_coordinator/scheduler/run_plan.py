@@ -20,13 +20,13 @@ from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Generation, Pipeline
-from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch, check_spec_poses
 from qdgrasp_coordinator.search.registry import check_spec, learns_value, method, prior_of
 from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
+from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.messages import Failure, OpenRun
 from qdgrasp_protocol.rows import Genomes, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
@@ -114,6 +114,34 @@ class JobExtent:
             runs_done=self.runs_done + len(found),
             done=sum(found.values(), self.done),
         )
+
+
+@dataclass(frozen=True)
+class WantedShape:
+    """A shape that is not built yet, and the mesh that it is made of."""
+
+    task: ShapeTask
+    mesh: Path
+
+    @property
+    def paths(self) -> dict[str, Path]:
+        """Its files by sha256: the mesh, and those that it names beside it."""
+        mesh, *others = self.task.files
+        return {mesh.sha256: self.mesh} | {file.sha256: self.mesh.parent / file.name for file in others}
+
+
+@dataclass(frozen=True)
+class BuildReply:
+    """The end of a build: its shape, or the reason why it cannot be built."""
+
+    key: str
+    """The task's."""
+    pieces: tuple[bytes, ...] = ()
+    """The deflated shape; empty if it cannot be built."""
+    reason: str = ""
+    cpu_seconds: float = 0.0
+    superseded: tuple[str, ...] = ()
+    """Other holders of the build, which are to drop it."""
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,14 @@ from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
 from qdgrasp_coordinator.scheduler.batch_queue import RunRef
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_plan import (
+    BuildReply,
     RunPlan,
     RunQueue,
     ShapesMissing,
     ShapeWarning,
+    WantedShape,
     WantedShapes,
 )
-from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_protocol.errors import DiskFull, EndedEarly, InputError, RunFailed, RunsFailed
 from qdgrasp_protocol.messages import Opened
 from qdgrasp_protocol.process import Stop
@@ -41,10 +42,6 @@ class ActiveRun:
         self.pipeline = plan.pipeline
         self.sink = sink
         self.ref = RunRef(plan.run, plan.bundle.digest, plan.prior, plan.spec.engine)
-        self.settled_by: set[str] = set()
-        """Ids of the workers whose rows it has taken."""
-        self.goes_back = False
-        """True: once its settled rows are recorded it is reopened, and the others evaluated again."""
         self.replayed = 0  # Counted evaluations that were in the journal when the run was opened
         self._began = time.monotonic()
 
@@ -326,8 +323,6 @@ class RunRegistry:
         self._runs_wait = False  # every run that is left, for shapes
         self._was_put_back = False  # since the loader began
         self.shapes = ShapeProgress(is_last=not queue.has_shapes)
-        self.settled_before: set[str] = set()
-        """Ids of the workers whose rows were taken by runs that ended or were reopened."""
         self._open: dict[str, ActiveRun] = {}
         self._failures: list[RunFailed] = []
         self._budgets = dict(self.extent.budgets)  # of the runs that are neither done nor failed
@@ -411,21 +406,17 @@ class RunRegistry:
 
     def remove(self, run: ActiveRun) -> None:
         """Remove a run that is done."""
-        self._let_go(run)
+        del self._open[run.name]
         self._done += 1
         self._budgets.pop(run.name, None)
         self._found += run.tally.totals
 
     def reopen(self, run: ActiveRun) -> None:
         """Remove a run, to reopen it from its journal."""
-        self._let_go(run)
+        del self._open[run.name]
         self._replayed -= run.replayed
         self._queue.put_back(run.name)
         self._was_put_back, self._all_opened, self._runs_wait = True, False, False
-
-    def _let_go(self, run: ActiveRun) -> None:
-        del self._open[run.name]
-        self.settled_before |= run.settled_by
 
     def close(self) -> None:
         """Stop opening."""

@@ -4,24 +4,189 @@ Rules 1, 3 and 4 of docs/bus.md: credit, join numbers, lost tokens and leases th
 in seconds of any steady clock.
 """
 
-from collections import Counter, OrderedDict, deque
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from math import ceil, inf
+from collections import OrderedDict, deque
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from heapq import heapify, heappop, heappush
+from math import ceil, exp, expm1, inf
 
-from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, WorkersPage
+from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, WorkersPage, WorkerStatus
 from qdgrasp_coordinator.metrics.time_left import WorkersAtWork
-from qdgrasp_coordinator.scheduler.batch_queue import WorkerName
-from qdgrasp_coordinator.scheduler.worker import (
-    MOST_SICK_SECONDS,
-    TOKEN_GRACE,
-    RateMeter,
-    Worker,
-    fewest_batches_first,
-)
 from qdgrasp_coordinator.storage.platforms import admit_platform
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.messages import VERSION, Heartbeat, Join
+
+RATE_SECONDS = 10.0  # Seconds after which what was counted weighs 1 / e
+
+
+class RateMeter:
+    """Recent rate of counting."""
+
+    def __init__(self, now: float) -> None:
+        self._since = self._last = now
+        self._weighed = 0.0
+
+    def count(self, amount: float, now: float) -> None:
+        """Add an amount counted at `now`."""
+        self._weighed = self._weighed * exp((self._last - now) / RATE_SECONDS) + amount
+        self._last = now
+
+    def rate(self, now: float) -> float:
+        """Return the rate [1/s]: an exponentially weighted mean over the time there was."""
+        if now <= self._since:
+            return 0.0
+        return (
+            self._weighed
+            * exp((self._last - now) / RATE_SECONDS)
+            / (RATE_SECONDS * -expm1((self._since - now) / RATE_SECONDS))
+        )
+
+
+ANSWER_SECONDS, ANSWER_LIMITS = 600.0, 6
+"""Time that a worker which shows progress may go without an answer: so many seconds, or lease timeouts."""
+BUILD_SECONDS = 5400.0  # The same for one that builds a shape, whose process has limits of its own
+PROVEN_SECONDS = 60.0  # Seconds for which a worker that answered is preferred to others
+TOKEN_GRACE = 1.0  # Seconds between the loss of a worker's token and the end of its leases
+SCENES_KEPT = 8  # Scenes that a worker keeps open, least recently used first out
+NO_SIGN = Heartbeat(wid=32 * "0", host="")  # A sign that says nothing
+WID_DIGITS = 8  # Characters of a worker's id that people are shown
+
+
+@dataclass(eq=False)
+class Worker:
+    """A worker, the batches that it holds, and its figures."""
+
+    join: Join
+    """Its latest join request."""
+    order: int
+    """Ascends with its first join."""
+    since: float
+    """When it joined first."""
+    progress: float
+    """When it last showed progress, or was leased something while it held nothing."""
+    heard: float
+    """Time of its last message."""
+    speed: RateMeter
+    """Rate of the rows that it settles."""
+    batches: dict[bytes, bool] = field(default_factory=dict)
+    """The ids of the batches it holds; True: a shape that it builds."""
+    scenes: OrderedDict[str, None] = field(default_factory=OrderedDict)
+    """The scenes it holds, the latest last."""
+    gone_at: float | None = None
+    """When its token vanished; None: it is there."""
+    is_expected: bool = False
+    """True: its token is not gone, but late."""
+    is_stuck: bool = False
+    """It let a lease pass; until it answers or joins again it gets no work, unless no worker is well."""
+    is_drained: bool = False
+    """It is to leave: it gets no more work."""
+    answered: float = -inf
+    """When it answered last."""
+    owes_since: float = 0.0
+    """Since when it owes an answer: its last one, or when it was leased something while it held nothing."""
+    rows: int = 0
+    """Rows that it settled."""
+    memory: int = 0
+    restarts: int = 0
+    sign: Heartbeat = NO_SIGN
+    """Its latest sign; before the first one, one that says nothing."""
+
+    @property
+    def wid(self) -> str:
+        """Its id."""
+        return self.join.wid
+
+    @property
+    def is_well(self) -> bool:
+        """True if it is present, answers, and is not leaving."""
+        return self.gone_at is None and not (self.is_stuck or self.is_drained)
+
+    @property
+    def is_building(self) -> bool:
+        """True if it builds a shape: its core is taken for long."""
+        return any(self.batches.values())
+
+    @property
+    def has_credit(self) -> bool:
+        """True if it is present and may be leased more."""
+        is_open = self.gone_at is None and not self.is_drained and not self.is_building
+        return is_open and len(self.batches) < self.join.credit
+
+    @property
+    def state(self) -> str:
+        """Its state: gone, leaving, stuck, working or idle."""
+        if self.gone_at is not None and not self.is_expected:
+            return "gone"
+        if self.is_drained:
+            return "leaving"
+        if self.is_stuck:
+            return "stuck"
+        return "working" if self.batches else "idle"
+
+    @property
+    def description(self) -> str:
+        """Id, host and process, for people."""
+        return f"Worker {self.wid[:WID_DIGITS]} on {self.join.host} (process {self.join.pid})"
+
+    def deadline(self, limit: float) -> float:
+        """Return when it is given up if nothing is heard of it; infinite: never."""
+        if self.gone_at is not None:
+            return self.gone_at + TOKEN_GRACE
+        return min(self.progress + limit, self.answer_by(limit)) if self.batches else inf
+
+    def answer_by(self, limit: float) -> float:
+        """Return when it is given up without an answer, whatever progress it shows."""
+        longest = BUILD_SECONDS if self.is_building else max(ANSWER_SECONDS, ANSWER_LIMITS * limit)
+        return self.owes_since + longest
+
+    def hold(self, batch_id: bytes, scene: str | None, now: float) -> None:
+        """Add a batch of a scene to those it holds; None: a shape that it builds."""
+        if not self.batches:
+            self.progress = self.owes_since = now
+        self.batches[batch_id] = scene is None
+        if scene is None:
+            return
+        self.scenes[scene] = None
+        self.scenes.move_to_end(scene)
+        if len(self.scenes) > SCENES_KEPT:
+            self.scenes.popitem(last=False)
+
+    def status(self, now: float) -> WorkerStatus:
+        """Return its figures."""
+        return WorkerStatus(
+            wid=self.wid,
+            host=self.join.host,
+            pid=self.join.pid,
+            state=self.state,
+            batches=len(self.batches),
+            rows=self.rows,
+            rate=round(self.speed.rate(now), 2),
+            seconds=round(now - self.since, 2),
+            seen=round(now - self.heard, 2),
+            memory=self.memory,
+            restarts=self.restarts,
+        )
+
+
+def fewest_batches_first(workers: list[Worker], now: float) -> Iterator[Worker]:
+    """Yield the worker to lease to next, while one has credit left and took what it was offered.
+
+    Among equals those that answered lately come first: a silent worker's batch is not given to the next
+    silent one. Then comes the one that was quiet for longest, so that every stuck worker is tried.
+    """
+
+    def place(worker: Worker) -> tuple[int, bool, float, int]:
+        is_proven = worker.answered >= now - PROVEN_SECONDS
+        return len(worker.batches), not is_proven, worker.progress, worker.order
+
+    heap = [(place(worker), worker) for worker in workers]
+    heapify(heap)
+    while heap:
+        yield heap[0][-1]
+        (count, *_), worker = heappop(heap)
+        if worker.has_credit and len(worker.batches) > count:
+            heappush(heap, (place(worker), worker))
+
 
 LEASE_SECONDS = 10.0  # The shortest time without a sign of progress after which a lease is over
 STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS = 0.25, 3
@@ -68,8 +233,6 @@ JOINS_AHEAD, JOINS_PER_SECOND = 100, 20.0
 
 A worker raises it by one each time it asks, at most 20 times a second (rule 2), answered or not.
 """
-SICK_FAULTS, FAULT_ROWS = 4, 100
-"""Rows that failed on a worker and not on the next one that make it sick; every 100 good rows halve them."""
 AWAY_SECONDS = 30.0  # Seconds for which a worker that was well is expected back
 TOKEN_DELAY = 30.0  # Seconds by which a worker's token may come later than its request to join
 
@@ -97,6 +260,10 @@ class WorkerRegistry:
     an event of one worker needs no pass over a thousand.
     """
 
+    # A lease is over at the deadline of its holder. It is the earlier of two times: the last sign of progress
+    # plus a multiple of what batches took lately, and the last answer plus ten minutes, for a worker that
+    # shows progress and never answers. Both stand still while the coordinator's own link is down.
+
     def __init__(self) -> None:
         self.platform: dict[str, str] = {}
         """Platform of the job's rows; empty until a worker joins or a recorded run opens."""
@@ -108,14 +275,10 @@ class WorkerRegistry:
         self._link_is_up = True
         self._joins = 0
         self._settled = 0  # Rows that all of them have settled
-        self._well: dict[str, str] = {}
-        """Workers that are well, each with its host."""
-        self._well_on: Counter[str] = Counter()
-        """Hosts, each with how many of its workers are well."""
+        self._well: set[str] = set()
         self._left: dict[str, float] = {}
         """Workers that were well, and when they no longer were."""
         self._now = 0.0
-        self._sick: dict[str, Worker] = {}
         self._free: dict[str, Worker] = {}
         self._limit = self.lease_timeout.limit
         self._earliest = inf  # no worker is overdue before, with this limit
@@ -138,11 +301,6 @@ class WorkerRegistry:
     def get(self, wid: str) -> Worker | None:
         """Return a worker; None: unknown."""
         return self._workers.get(wid)
-
-    def name(self, wid: str) -> WorkerName:
-        """Return the name of a worker, also of one that was given up lately."""
-        worker = self._workers.get(wid) or self._gone.get(wid, (None, 0.0))[0]
-        return worker.name if worker else WorkerName(wid, "")
 
     def join(self, join: Join, now: float) -> list[bytes] | None:
         """Admit a worker, or admit it again; the first one sets the platform of the rows.
@@ -226,14 +384,14 @@ class WorkerRegistry:
         """Record that a worker has answered a batch, and holds it no more."""
         if (worker := self._workers.get(wid)) is not None:
             worker.answered = worker.owes_since = now
-            worker.is_silent = False
+            worker.is_stuck = False
         self.progressed(wid, now)
         self.release(wid, batch_id)
 
     def progressed(self, wid: str, now: float) -> None:
         """Record that a worker makes progress, on any job."""
         if (worker := self._workers.get(wid)) is not None:
-            worker.progress, worker.is_stuck = now, False
+            worker.progress = now
             self._update(worker)
 
     def on_heartbeat(self, wid: str, heartbeat: Heartbeat, now: float) -> None:
@@ -250,65 +408,17 @@ class WorkerRegistry:
         if (worker := self._workers.get(wid)) is not None:
             worker.heard = now
             worker.rows += rows
-            worker.faults *= 0.5 ** (rows / FAULT_ROWS)
             worker.speed.count(rows, now)
 
-    def has_other(self, tried: Iterable[WorkerName]) -> bool:
-        """Return whether a worker is well besides these."""
-        return len(self._well) > sum(name.wid in self._well for name in set(tried))
-
-    def expects_other(self, tried: Iterable[WorkerName], now: float) -> bool:
+    def expects_other(self, tried: Collection[str], now: float) -> bool:
         """Return whether a worker besides these is well, or was lately: it may be back soon."""
+        if len(self._well) > len(self._well.intersection(tried)):
+            return True
         self._left = {wid: at for wid, at in self._left.items() if now < at + AWAY_SECONDS}
-        return self.has_other(tried) or bool(self._left.keys() - {name.wid for name in tried})
-
-    def may_have(self, worker: Worker, tried: tuple[WorkerName, ...]) -> bool:
-        """Return whether a worker is next to try rows after others.
-
-        Those on other hosts are, else those that have not tried, else, where there are no others, any.
-        """
-        hosts, wids = {name.host for name in tried}, {name.wid for name in tried}
-        if len(self._well_on) > sum(host in self._well_on for host in hosts):
-            return worker.join.host not in hosts
-        return worker.wid not in wids or not self.has_other(tried)
-
-    def blame(self, wid: str, now: float) -> Worker | None:
-        """Record a fault of a worker; returns the worker if that makes it sick."""
-        worker = self._workers.get(wid)
-        if worker is None or worker.is_sick:
-            return None
-        worker.faults += 1
-        if worker.faults < SICK_FAULTS:
-            return None
-        self._now = now
-        worker.sick_until = now + worker.sick_seconds
-        worker.sick_seconds = min(2 * worker.sick_seconds, MOST_SICK_SECONDS)
-        self._sick[wid] = worker
-        self._update(worker)
-        return worker
-
-    def recovered(self, now: float) -> list[Worker]:
-        """Let sick workers back whose time is over: the next fault makes them sick again."""
-        back = [worker for worker in self._sick.values() if now >= worker.sick_until]
-        for worker in back:
-            del self._sick[worker.wid]
-            worker.sick_until, worker.faults = -inf, SICK_FAULTS - 1
-            self._update(worker)
-        return back
-
-    def exclude(self, wid: str) -> list[bytes]:
-        """Have nothing more of a worker count; returns the ids of the batches that it held."""
-        self.drain(wid)
-        worker = self._workers.get(wid)
-        if worker is None:
-            return []
-        batches, worker.batches = list(worker.batches), {}
-        worker.is_excluded = True
-        self._update(worker)
-        return batches
+        return bool(self._left.keys() - set(tried))
 
     def idle(self, now: float) -> Iterator[Worker]:
-        """Yield the worker to lease to next; stuck and silent ones only if no worker is well."""
+        """Yield the worker to lease to next; stuck ones only if no worker is well."""
         return fewest_batches_first(
             [worker for worker in self._free.values() if worker.is_well or not self._well], now
         )
@@ -317,8 +427,7 @@ class WorkerRegistry:
         """Return the time before which no worker is overdue; infinite: never."""
         if self.lease_timeout.limit < self._limit:
             self._update_deadline()
-        recovery = min((worker.sick_until for worker in self._sick.values()), default=inf)
-        return min(self._earliest if self._link_is_up else inf, recovery)
+        return self._earliest if self._link_is_up else inf
 
     def overdue(self, now: float) -> list[LostWorker]:
         """Give up overdue workers: take their batches, and forget those whose token vanished."""
@@ -337,14 +446,12 @@ class WorkerRegistry:
         is_silent = now >= worker.answer_by(self._limit)
         batches, worker.batches = list(worker.batches), {}
         if worker.gone_at is None:
-            worker.is_silent |= is_silent
-            worker.is_stuck |= not is_silent
+            worker.is_stuck = True
             self._update(worker)
             seconds = now - worker.owes_since if is_silent else self._limit
             reason = f"no {'answer' if is_silent else 'sign of progress'} for {seconds:.0f} seconds"
             return LostWorker(worker, reason, batches, is_there=True)
         del self._workers[worker.wid]
-        self._sick.pop(worker.wid, None)
         self._set_well(worker, is_well=False)
         self._free.pop(worker.wid, None)
         worker.is_expected = False
@@ -367,12 +474,11 @@ class WorkerRegistry:
             return
         if is_well:
             self._left.pop(worker.wid, None)
-        elif worker.join.credit and not worker.is_drained:
+            self._well.add(worker.wid)
+            return
+        self._well.remove(worker.wid)
+        if worker.join.credit and not worker.is_drained:
             self._left[worker.wid] = self._now
-        host = self._well.setdefault(worker.wid, worker.join.host) if is_well else self._well.pop(worker.wid)
-        self._well_on[host] += 1 if is_well else -1
-        if not self._well_on[host]:
-            del self._well_on[host]
 
     def _update_deadline(self) -> None:
         self._limit = self.lease_timeout.limit

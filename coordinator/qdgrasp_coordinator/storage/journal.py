@@ -140,20 +140,6 @@ class Journal:
         return float(self._all("SELECT total(cpu_seconds) FROM blocks")[0][0])
 
     @property
-    def checked(self) -> int:
-        """Rows that a second worker has evaluated."""
-        return self._number("checked")
-
-    @property
-    def differing(self) -> int:
-        """Of these, rows answered by workers that were excluded."""
-        return self._number("differing")
-
-    def _number(self, name: str) -> int:
-        value = self._meta().get(name, "0")
-        return int(value) if value.isdecimal() else 0
-
-    @property
     def wall_seconds(self) -> float:
         """Sum over coordinators of the time from opening the run to its last commit [s]."""
         return float(self._all("SELECT total(last - opened) FROM turns")[0][0])

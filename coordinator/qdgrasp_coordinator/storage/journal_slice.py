@@ -21,10 +21,6 @@ class JournalSlice:
     """CPU time of these rows on workers [s]; outside the digest, so it may be an estimate."""
     failures: tuple[Failure, ...] = ()
     """Reasons of rows with `Outcome.ERROR`, by their place in `rows`."""
-    checked: int = 0
-    """Rows of the run that a second worker has evaluated, noted with these rows; outside the digest."""
-    differing: int = 0
-    """Of these, rows answered by workers that were excluded."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -44,9 +40,8 @@ class JournalSlice:
             for failure in self.failures
             if low <= failure.row < high
         )
-        checks = (self.checked, self.differing) if low == 0 else (0, 0)
         cpu_seconds = self.cpu_seconds * (high - low) / len(self)
-        return JournalSlice(self.first + low, self.rows[low:high], cpu_seconds, failures, *checks)
+        return JournalSlice(self.first + low, self.rows[low:high], cpu_seconds, failures)
 
 
 def join_slices(slices: Sequence[JournalSlice]) -> JournalSlice:
@@ -60,8 +55,7 @@ def join_slices(slices: Sequence[JournalSlice]) -> JournalSlice:
         for failure in part.failures
     )
     rows = np.concatenate([part.rows for part in slices])
-    sums = {name: sum(getattr(part, name) for part in slices) for name in ("checked", "differing")}
-    return JournalSlice(first, rows, sum(part.cpu_seconds for part in slices), failures, **sums)
+    return JournalSlice(first, rows, sum(part.cpu_seconds for part in slices), failures)
 
 
 def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) -> Recordable:
@@ -75,8 +69,6 @@ def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) 
         columns=deflated(pack(part.rows, COLUMNS)),
         cpu_seconds=part.cpu_seconds,
         failures=list(part.failures),
-        checked=part.checked,
-        differing=part.differing,
     )
 
 
@@ -88,5 +80,4 @@ def slice_from_message(message: Recordable, shape: RowShape) -> JournalSlice:
     if any(failure.row >= message.n for failure in message.failures):
         raise MessageError(f"a failure in a row behind its last, {message.n - 1}")
     rows = unpack(shape.empty(message.n), COLUMNS, message.columns)
-    checks = message.checked, message.differing
-    return JournalSlice(message.first, rows, message.cpu_seconds, tuple(message.failures), *checks)
+    return JournalSlice(message.first, rows, message.cpu_seconds, tuple(message.failures))

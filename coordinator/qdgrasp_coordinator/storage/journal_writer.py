@@ -32,8 +32,6 @@ SUCCESS = "INSERT INTO successes VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"
 
 TURN = "INSERT OR IGNORE INTO turns VALUES (?, ?, ?)"
 META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
-COUNT = """INSERT INTO meta VALUES (?1, ?2)
-    ON CONFLICT (name) DO UPDATE SET value = CAST(value AS INTEGER) + ?2"""
 
 
 @dataclass(frozen=True)
@@ -120,8 +118,6 @@ class JournalWriter(Journal):
             raise ValueError(f"row {count} is next, got {part.first}")
         with self._transaction():
             insert_rows(self._database, part, epoch)
-            counts = {"checked": part.checked, "differing": part.differing}
-            self._database.executemany(COUNT, [(name, str(n)) for name, n in counts.items() if n])
             self._database.execute("UPDATE turns SET last = max(last, ?) WHERE epoch = ?", (now, epoch))
 
     def set_platform(self, platform: dict[str, str]) -> None:

@@ -17,16 +17,17 @@ from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, is_in_catalog, sh
 from qdgrasp_coordinator.metrics.job_status import ObjectListing, RunListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals, count_rows
 from qdgrasp_coordinator.scheduler.run_plan import (
+    BuildReply,
     JobExtent,
     RunPlan,
     RunQueue,
     ShapesMissing,
     ShapeWarning,
+    WantedShape,
     WantedShapes,
     plan_run,
     prepare_scene,
 )
-from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
 from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.storage import atomic_files
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns

@@ -60,10 +60,6 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     """Lean of successes from the surface normal."""
     eta: EtaSummary | None
     """Estimated probability that successes transfer; None where the protocol has no trials."""
-    checked: int = 0
-    """Rows that a second worker has evaluated."""
-    differing: int = 0
-    """Of these, rows answered by workers that were excluded."""
     cpu_seconds: float
     wall_seconds: float
     complete: bool
@@ -123,8 +119,6 @@ def run_summary(folder: RunFolder) -> RunSummary:
             mean_fitness=metrics.mean_fitness,
             nu=metrics.nu,
             eta=metrics.eta,
-            checked=journal.checked,
-            differing=journal.differing,
             cpu_seconds=journal.cpu_seconds,
             wall_seconds=journal.wall_seconds,
             complete=found.finished is not None,

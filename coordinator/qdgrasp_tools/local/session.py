@@ -71,7 +71,6 @@ class LocalSession:
             queue=queue,
             make_sink=make_record,
             batch_size=batch_size,
-            checked=0.0,  # an evaluator of the user's may not be pure
         )
 
         def step(now: float) -> None:

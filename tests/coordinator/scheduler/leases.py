@@ -6,8 +6,8 @@ import numpy as np
 from msgspec import structs
 from tests.fakes.messages import ANN, join_message, result_message
 
-from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher
-from qdgrasp_coordinator.scheduler.batch_queue import Lease, RunRef, SettleReply
+from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher, Lease, SettleReply
+from qdgrasp_coordinator.scheduler.batch_queue import RunRef
 from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, WorkerRegistry
 from qdgrasp_protocol.messages import Failure, Result
@@ -25,12 +25,9 @@ def genomes(n: int) -> np.ndarray:
 class Dispatch(Dispatcher):
     """A dispatcher with its workers."""
 
-    def __init__(
-        self, epoch: int, batch_size: int | None = None, checked: float = 0.0, *, takes_over: bool = False
-    ) -> None:
+    def __init__(self, epoch: int, batch_size: int | None = None) -> None:
         self.workers = WorkerRegistry()
-        super().__init__(epoch, self.workers, batch_size, checked)
-        self._takes_over = takes_over
+        super().__init__(epoch, self.workers, batch_size)
 
     def admit(
         self, wid: str, number: int, credit: int, held: Sequence[bytes], now: float, rows: int = 0
@@ -77,8 +74,8 @@ def settle(
     failed: tuple[int, ...] = (),
     epoch: int = EPOCH,
 ) -> SettleReply:
-    rows = SHAPE.empty(len(lease.batch))
-    rows["outcome"], rows["nu"] = Outcome.HELD, lease.batch.rows.indices
+    rows = SHAPE.empty(len(lease.task))
+    rows["outcome"], rows["nu"] = Outcome.HELD, lease.task.rows.indices
     wid = wid or lease.wid
     found = structs.replace(result(lease), epoch=epoch, wid=wid, failures=failures(failed))
     return dispatch.settle(wid, found, rows, now)
@@ -90,12 +87,12 @@ def failures(rows: Sequence[int]) -> list[Failure]:
 
 def result(lease: Lease) -> Result:
     """The worker's answer, without columns."""
-    n = len(lease.batch)
+    n = len(lease.task)
     return result_message(
         epoch=EPOCH,
-        run=lease.batch.run.run,
-        generation=lease.batch.rows.number,
-        batch=lease.batch.id,
+        run=lease.task.run.run,
+        generation=lease.task.rows.number,
+        batch=lease.task.id,
         attempt=lease.attempt,
         wid=lease.wid,
         n=n,
@@ -104,4 +101,4 @@ def result(lease: Lease) -> Result:
 
 
 def indices(leases: list[Lease]) -> list[list[int]]:
-    return [lease.batch.rows.indices.tolist() for lease in leases]
+    return [lease.task.rows.indices.tolist() for lease in leases]

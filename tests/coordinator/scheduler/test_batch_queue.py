@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.fakes.messages import result_message
 
+from qdgrasp_coordinator.scheduler.batch_dispatcher import read_result
 from qdgrasp_coordinator.scheduler.batch_queue import (
     BATCH_SECONDS,
     FIRST_ROWS,
@@ -14,7 +15,6 @@ from qdgrasp_coordinator.scheduler.batch_queue import (
     BatchQueue,
     BatchSizer,
     RunRef,
-    read_result,
 )
 from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, LeaseTimeout
@@ -182,7 +182,7 @@ def test_rows_of_later_generations_make_larger_batches_where_there_are_other_run
     for ref in refs:
         for number in range(16 // runs):
             queue.submit(ref, generation(50, number))
-        queue.measure(Batch(b"", ref, generation(50)), 50 * 0.05)
+        queue.measure(Batch(id=b"", run=ref, rows=generation(50)), 50 * 0.05)
     few = len(queue.pop("run-0", 4))  # 0.25 s
     assert (few, len(queue.pop("run-0", 100))) == sizes
 

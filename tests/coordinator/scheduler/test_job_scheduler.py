@@ -5,24 +5,21 @@ from math import inf
 
 import msgspec
 import pytest
-from tests.coordinator.scheduler.leases import result
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan
-from tests.fakes.job import FakeRunQueue, SlowSink, make_run_plan, scheduler_of
+from tests.fakes.job import FakeRunQueue, make_run_plan, scheduler_of
 from tests.fakes.messages import ANN, BOB, join_message
 from tests.fakes.recorder import JOB
 
 from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, JobEvent, WorkerStatus
-from qdgrasp_coordinator.scheduler.cross_checks import CheckVerdict
-from qdgrasp_coordinator.scheduler.early_stop import LEAST_STOP_SECONDS, MOST_STOP_SECONDS, EarlyStop
 from qdgrasp_coordinator.scheduler.inbox import JoinRequest, TokenChange
+from qdgrasp_coordinator.scheduler.job_scheduler import LEAST_STOP_SECONDS, MOST_STOP_SECONDS, EarlyStop
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunNotOpened, RunOpened
 from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS
-from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
-from qdgrasp_protocol.errors import Cancelled, RecorderFellBack, RunFailed
+from qdgrasp_protocol.errors import Cancelled, RunFailed
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Heartbeat, Join, Opened, Recorded
+from qdgrasp_protocol.messages import Heartbeat, Join, Opened
 
 KEYS = Keys(JOB)
 
@@ -146,63 +143,6 @@ def test_a_worker_without_the_engine_of_a_run_is_refused_and_leaves_when_such_a_
     request = JoinRequest(msgspec.structs.replace(without, wid=BOB))
     scheduler.handle(request, 2.0)
     assert "run 'run-0' is simulated in pybullet" in str(request.answer.exception())
-
-
-@pytest.mark.parametrize("goes_back", [False, True])
-def test_checked_rows_count_unless_their_run_goes_back_to_what_is_recorded(goes_back: bool) -> None:
-    scheduler = scheduler_of(FakeRunQueue({}), lambda _event: None)
-    run = ActiveRun(make_run_plan("run-0", Plan(population=4)), sink := SlowSink(SHAPE))
-    scheduler.handle(RunOpened(run, Opened(epoch=1, durable=[0], platform={})), 0.0)
-    for wid in (ANN, BOB):
-        scheduler.handle(TokenChange(KEYS.worker_token(wid), True), 0.0)
-        scheduler.handle(JoinRequest(join_message(wid)), 0.0)
-    scheduler.is_paused = True  # it asks the search, and leases nothing by itself
-    scheduler.step(0.0)
-    run.goes_back = goes_back
-    for turn in range(10):
-        for lease in scheduler.dispatcher.leases(turn):
-            answer = msgspec.structs.replace(result(lease), epoch=scheduler.epoch)
-            scheduler.dispatcher.settle(lease.wid, answer, SHAPE.empty(len(lease.batch)), turn)
-        scheduler.step(turn)
-    assert scheduler.dispatcher.counters["checked"] > 0
-    assert (len(sink.rows) == 4) is not goes_back
-
-
-class ForgetfulSink(SlowSink):
-    """A sink whose recorder has lost rows, as its first report says."""
-
-    def on_report(self, message: Recorded, now: float) -> None:
-        raise RecorderFellBack(message.durable, durable=1, sent=1)
-
-
-@pytest.mark.parametrize(
-    ("settled", "end", "runs"),
-    [
-        (False, "", ""),
-        (True, "", "run-0"),
-        (True, "done", "runs that ended or were opened again"),
-        (True, "fell back", "runs that ended or were opened again"),
-    ],
-)
-def test_runs_with_rows_of_an_excluded_worker_are_told_of(job, monkeypatch, settled, end, runs) -> None:
-    for wid in (ANN, BOB):
-        job.joins(join_message(wid), 0.0)
-    run = ActiveRun(make_run_plan("run-0", Plan()), ForgetfulSink(SHAPE))
-    job.scheduler.handle(RunOpened(run, Opened(epoch=1, durable=[0], platform={})), 0.0)
-    run.settled_by = {ANN} if settled else set()
-    if end == "done":
-        job.scheduler._remove(run, 1.0)
-    elif end:
-        report = messages.encode(Recorded(run="run-0", epoch=1, durable=0))
-        sample = Sample(KEYS.recorded, report, messages.encoding(Recorded))
-        job.scheduler.handle(sample, 1.0)
-        assert job.scheduler.runs.get("run-0") is None
-    ann, bob = (worker.name for worker in job.scheduler.workers)
-    verdict = CheckVerdict("run-9", 4, (bob,), (ann,))
-    monkeypatch.setattr(job.scheduler.dispatcher, "take_verdicts", lambda: [verdict])
-    job.scheduler.step(2.0)
-    told = [words for words in job.words if words.startswith(f"Earlier rows of worker {ANN[:8]} in ")]
-    assert [words.split(" in ")[1].split(" may be ")[0] for words in told] == ([runs] if runs else [])
 
 
 def test_a_sign_without_progress_keeps_nobody_from_being_stuck(job: SchedulerWithoutRuns) -> None:

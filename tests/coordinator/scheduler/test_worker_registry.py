@@ -6,8 +6,13 @@ import random
 import pytest
 from tests.fakes.messages import ANN, join_message
 
-from qdgrasp_coordinator.scheduler.worker import RATE_SECONDS, TOKEN_GRACE, RateMeter
-from qdgrasp_coordinator.scheduler.worker_registry import MOST_GONE, WorkerRegistry
+from qdgrasp_coordinator.scheduler.worker_registry import (
+    MOST_GONE,
+    RATE_SECONDS,
+    TOKEN_GRACE,
+    RateMeter,
+    WorkerRegistry,
+)
 from qdgrasp_coordinator.storage.platforms import (
     PlatformDiffers,
     admit_platform,

@@ -90,21 +90,6 @@ def test_the_digest_is_of_rows_and_not_of_blocks_or_costs(tmp_path: Path) -> Non
     assert all(len(text) == 64 for text in digests)
 
 
-def test_rows_that_were_checked_are_counted_outside_the_digest(tmp_path: Path) -> None:
-    rows, digests = make_rows(30), set()
-    for name, checked in (("unchecked", 0), ("checked", 4)):
-        folder = tmp_path / name
-        folder.mkdir()
-        with JournalWriter.create(folder, IDENTITY) as writer:
-            for first in (0, 10, 20):
-                part = JournalSlice(first, rows[first : first + 10], checked=checked, differing=checked // 2)
-                writer.append(part, 1, 0.0)
-        with Journal.open(folder) as journal:
-            digests.add(journal_digest(journal))
-            assert (journal.checked, journal.differing) == (3 * checked, 3 * (checked // 2))
-    assert len(digests) == 1
-
-
 def test_the_digest_changes_with_any_bit_of_any_column(tmp_path: Path) -> None:
     digests = set()
     offsets = [offset for kind, offset, *_ in (SHAPE.dtype.fields or {}).values() if kind.itemsize]
@@ -394,7 +379,7 @@ def ten_rows() -> JournalSlice:
     rows = RowShape(genes=1, joints=0).empty(10)
     rows["index"] = np.arange(10)
     failures = tuple(Failure(row=row, reason=f"row {row}") for row in (0, 4, 9))
-    return JournalSlice(100, rows, 5.0, failures, checked=7, differing=2)
+    return JournalSlice(100, rows, 5.0, failures)
 
 
 @pytest.mark.parametrize(("first", "stop"), [(100, 110), (100, 104), (104, 110), (103, 106), (90, 200)])
@@ -416,4 +401,3 @@ def test_parts_join_to_the_whole(cuts: list[int]) -> None:
     assert (again.first, again.stop, again.failures) == (whole.first, whole.stop, whole.failures)
     assert again.rows.tobytes() == whole.rows.tobytes()
     assert again.cpu_seconds == pytest.approx(whole.cpu_seconds)
-    assert (again.checked, again.differing) == (whole.checked, whole.differing) == (7, 2)

@@ -6,8 +6,13 @@ import pytest
 import trimesh
 
 from qdgrasp_assets.object_shape import build_shape, pack_shape
-from qdgrasp_coordinator.scheduler.run_plan import ShapesMissing, full_spec, prepare_scene
-from qdgrasp_coordinator.scheduler.shape_queue import BuildReply, WantedShape
+from qdgrasp_coordinator.scheduler.run_plan import (
+    BuildReply,
+    ShapesMissing,
+    WantedShape,
+    full_spec,
+    prepare_scene,
+)
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.build_messages import split_payload
