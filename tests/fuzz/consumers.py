@@ -20,7 +20,7 @@ from qdgrasp_coordinator.metrics.job_status import (
 )
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.recorder.recorded_job import RunIdentity
-from qdgrasp_coordinator.scheduler.batch_queue import read_result
+from qdgrasp_coordinator.scheduler.batch_dispatcher import read_result
 from qdgrasp_coordinator.storage import success_pages as found
 from qdgrasp_coordinator.storage.journal_slice import slice_from_message
 from qdgrasp_protocol import messages
