@@ -72,9 +72,10 @@ def carry_out(seed: int, asked: argparse.Namespace) -> bool:
     spec = kind.spec(seed, evaluations)
     out = asked.out.resolve()
     say(f"seed {seed}: {evaluations} evaluations, {kind.method}, protocol {kind.protocol}")
-    expected = undisturbed_digest(spec, out / "undisturbed")
-    say(f"seed {seed}: undisturbed digest {expected}")
     home = out / f"seed-{seed}"
+    undisturbed = out / f"undisturbed-{seed}"
+    expected = undisturbed_digest(spec, undisturbed)
+    say(f"seed {seed}: undisturbed digest {expected}")
     shutil.rmtree(home, ignore_errors=True)
     plan = faults(seed, asked.workers)
     terms = {
@@ -91,7 +92,7 @@ def carry_out(seed: int, asked: argparse.Namespace) -> bool:
     if is_same and not report.troubles:
         return True
     if report.digest:
-        rows, alike = agreeing_rows(home / "run", spec, out / "undisturbed")
+        rows, alike = agreeing_rows(home / "run", undisturbed / "run")
         say(f"{rows} rows are recorded; the undisturbed run begins with {alike} of them")
     say(f"seed {seed} FAILED: {'; '.join(report.troubles) or 'the digests differ'}; everything is in {home}")
     say(f"again: python -m tests.chaos --seed {seed} --evaluations {evaluations} --workers {asked.workers}")

@@ -1,6 +1,5 @@
 """A run that is disturbed from its first recorded row to its end, and the undisturbed one."""
 
-import hashlib
 import heapq
 import shutil
 import signal
@@ -14,7 +13,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from tests.chaos.plan import Fault, FaultKind
-from tests.chaos.processes import ROOT, JobProcesses, Process
+from tests.chaos.processes import JobProcesses, Process
 from tests.common import HOST
 from tests.fakes.slow_link import SlowLink, slow_link
 from tests.system.commands import digest_of
@@ -22,53 +21,26 @@ from tests.system.commands import digest_of
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
-ROOMS = ("assets", "coordinator", "protocol", "worker")
-DIGEST, RUN = "digest", "run"
 
-
-def undisturbed_digest(spec: RunSpec, store: Path) -> str:
-    """The digest of `qdgrasp run` with two workers, undisturbed; kept in a folder of `store`."""
-    home = store / _key(spec)
-    known = home / DIGEST
-    if not known.is_file():
-        shutil.rmtree(home, ignore_errors=True)
-        home.mkdir(parents=True)
-        known.write_text(_carried_out(spec, home))
-    return known.read_text()
-
-
-def agreeing_rows(run: Path, spec: RunSpec, store: Path) -> tuple[int, int]:
-    """How many rows of a run are recorded, and how many of them the undisturbed run begins with."""
-    with RunFolder.open(run).journal() as some, RunFolder.open(store / _key(spec) / RUN).journal() as all_:
-        pairs = zip(some.rows(0, some.count), all_.rows(0, some.count), strict=False)
-        return some.count, sum(
-            1 for _ in takewhile(lambda pair: pair[0].tobytes() == pair[1].tobytes(), pairs)
-        )
-
-
-def _carried_out(spec: RunSpec, home: Path) -> str:
-    file, run = home / "spec.toml", home / RUN
+def undisturbed_digest(spec: RunSpec, home: Path) -> str:
+    """Carry a run out with two workers, undisturbed, in a new folder; returns its digest."""
+    shutil.rmtree(home, ignore_errors=True)
+    home.mkdir(parents=True)
+    file, run = home / "spec.toml", home / "run"
     file.write_text(to_toml(spec))
-    command = ("run", file, "--workers", 2, "--out", run)
-    process = Process("run", "qdgrasp", command, home / "log")
+    process = Process("run", "qdgrasp", ("run", file, "--workers", 2, "--out", run), home / "log")
     process.start()
     assert process.wait() == 0, process.words
     return digest_of(run)
 
 
-def _key(spec: RunSpec) -> str:
-    """A name for a spec and the packages that carry it out, with the hands and objects in them."""
-    key = hashlib.sha256(to_toml(spec).encode())
-    for file in package_files(ROOT):
-        content = hashlib.sha256(file.read_bytes()).hexdigest()
-        key.update(f"{file.relative_to(ROOT)} {content}\n".encode())
-    return key.hexdigest()[:16]
-
-
-def package_files(root: Path) -> list[Path]:
-    """All files of the packages: source, URDF, TOML, meshes and others; none that Python wrote."""
-    found = [file for room in ROOMS for file in (root / room).rglob("*") if file.is_file()]
-    return sorted(file for file in found if "__pycache__" not in file.parts)
+def agreeing_rows(run: Path, undisturbed: Path) -> tuple[int, int]:
+    """How many rows of a run are recorded, and how many of them the undisturbed run begins with."""
+    with RunFolder.open(run).journal() as some, RunFolder.open(undisturbed).journal() as all_:
+        pairs = zip(some.rows(0, some.count), all_.rows(0, some.count), strict=False)
+        return some.count, sum(
+            1 for _ in takewhile(lambda pair: pair[0].tobytes() == pair[1].tobytes(), pairs)
+        )
 
 
 ROUND_TRIP, LOSS = 0.3, 0.02  # Round trip [s] and loss of the far worker's link

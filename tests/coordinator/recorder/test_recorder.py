@@ -9,7 +9,6 @@ import pytest
 from tests.fakes.messages import open_run
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, make_rows
 
-from qdgrasp_coordinator.recorder import recorder as recorder_module
 from qdgrasp_coordinator.recorder.recorder import (
     COMMITS_AT_ONCE,
     REPORT_INTERVAL,
@@ -144,20 +143,6 @@ class TestOpening:
             assert recorder.open(ask("b")).epoch == 10
         assert JobFolder.open(path).epoch == 10
 
-    def test_a_run_that_is_opened_again_in_its_epoch_keeps_what_waits(self, recorder) -> None:
-        recorder.open(ask("a"))
-        recorder.add_rows(rows("a", 0, 10), 0.0)
-        assert recorder.open(ask("a", epoch=1)).durable == [0]
-        recorder.commit("a")
-        assert recorder.writers["a"].durable == 10
-
-    def test_an_epoch_may_begin_before_any_run_is_opened(self, tmp_path: Path) -> None:
-        with recording(tmp_path / "out") as recorder:
-            begun = recorder.open(ask())
-            assert (begun.epoch, begun.durable) == (1, [])
-            assert recorder.open(ask("a", epoch=1)).epoch == 1
-            assert recorder.open(ask()).epoch == 2
-
     def test_a_new_epoch_finds_what_waited_in_the_one_before_on_the_disk(self, recorder) -> None:
         recorder.open(ask("a", "b"))
         recorder.add_rows(rows("a", 0, 10), 0.0)
@@ -245,11 +230,6 @@ class TestPlatforms:
         with recording(path) as recorder:
             assert recorder.open(ask("c", epoch=1)).platform == both
 
-    def test_a_platform_without_rows_binds_no_run(self, recorder) -> None:
-        recorder.open(ask("a"))
-        recorder.set_platform(Platform(epoch=1, platform=HERE))
-        assert recorder.open(ask("b")).platform == {}
-
 
 class TestRows:
     def test_rows_of_each_run_wait_for_their_own_commit(self, recorder) -> None:
@@ -263,13 +243,6 @@ class TestRows:
         assert (recorder.writers["a"].durable, recorder.writers["b"].durable) == (30, 0)
         assert recorder.due(1.1 + GROUP_SECONDS) == ["b"]
 
-    def test_a_page_has_no_more_rows_than_are_asked_for(self, recorder) -> None:
-        recorder.open(ask("a"))
-        recorder.add_rows(rows("a", 0, 30), 0.0)
-        recorder.commit("a")
-        pages = [recorder.page(Log(run="a", first=first, limit=12)) for first in (0, 12, 24)]
-        assert [page.n for page in pages] == [12, 12, 6]
-
     @pytest.mark.parametrize(("column", "number"), [("fitness", 3e38), ("outcome", 255), ("genome", 1e30)])
     def test_rows_with_a_number_that_cannot_be_are_not_recorded(self, recorder, column, number) -> None:
         recorder.open(ask("a"))
@@ -281,13 +254,6 @@ class TestRows:
         ):
             recorder.add_rows(message, 0.0)
         assert recorder.add_rows(rows("a", 0, 10), 0.0) is Arrival.TAKEN
-
-    def test_one_epoch_holds_for_all_runs(self, path, recorder) -> None:
-        recorder.open(ask("a", "b"))
-        assert recorder.add_rows(rows("a", 0, 10, epoch=5), 0.0) is Arrival.TAKEN
-        assert recorder.add_rows(rows("b", 0, 10, epoch=4), 0.0) is Arrival.STALE
-        recorder.commit("a")
-        assert JobFolder.open(path).epoch == 5
 
     def test_a_recorder_that_comes_back_finds_a_run_by_its_name(self, path: Path) -> None:
         with recording(path) as recorder:
@@ -348,16 +314,6 @@ class TestFinishedRuns:
             record(recorder, run, stop, HERE)
         assert [self.finished(path, run, self.SHORT) for run in ("a", "b")] == [30, None]
 
-    def test_a_run_that_another_recorder_began_is_counted_from_its_first_row(self, path: Path) -> None:
-        with recording(path) as recorder:
-            recorder.open(ask("a", spec=self.SHORT))
-            record(recorder, "a", 20, HERE)
-        with recording(path) as recorder:
-            recorder.open(ask("a", spec=self.SHORT))
-            recorder.add_rows(rows("a", 20, 30, recorder.epoch), 0.0)
-            recorder.commit("a")
-            assert self.finished(path, "a", self.SHORT) == 30
-
     def test_a_run_whose_end_is_put_off_is_not_in_the_index_before_that_end(self, path, recorder) -> None:
         longer = msgspec.structs.replace(SPEC, evaluations=40)
         recorder.open(ask("a", spec=self.SHORT))
@@ -396,27 +352,6 @@ class TestFinishedRuns:
         RunFolder.add(JobFolder(path), run, self.SHORT, BUNDLE)
         return BUNDLE.digest
 
-    def test_a_finished_run_is_found_again_when_its_rows_come_once_more(self, path, recorder) -> None:
-        recorder.open(ask("b"))
-        recorder.open(ask("a", epoch=1, spec=self.SHORT, scene=self.scene_of(path, "a")))
-        recorder.take(sample_of(rows("a", 0, 30)), 0.0)
-        while recorder.deadline < 100.0:
-            recorder.step(recorder.deadline)
-        assert "a" not in recorder.writers
-        assert recorder.add_rows(rows("a", 0, 30), 100.0) is Arrival.DUPLICATE
-        recorder.take(sample_of(rows("a", 0, 30)), 100.0)
-        assert [(report.run, report.durable) for report in recorder.step(100.0)] == [("a", 30)]
-        assert self.finished(path, "a", self.SHORT) == 30
-
-    def test_the_engines_of_finished_runs_are_not_read_again(self, path: Path, monkeypatch) -> None:
-        with recording(path) as recorder:
-            recorder.open(ask("a", "b", spec=self.SHORT))
-            for run in ("a", "b"):
-                record(recorder, run, 30, HERE)
-        monkeypatch.setattr(recorder_module, "read_run_spec", None)
-        with recording(path) as recorder:
-            assert recorder.open(ask("a", epoch=1, spec=self.SHORT)).platform == HERE
-
 
 def test_an_opening_does_not_wait_for_the_commits_of_all_runs(path: Path, recorder: Recorder) -> None:
     names = [f"run-{number}" for number in range(3 * COMMITS_AT_ONCE)]
@@ -433,14 +368,6 @@ def sample_of(message: Recordable) -> Sample:
     return Sample(Keys(JOB).outcome(message.epoch), messages.encode(message), messages.encoding(Recordable))
 
 
-def test_news_is_reported_at_once() -> None:
-    reports = ReportSchedule()
-    reports.report_now("a", 5.0)
-    assert reports.deadline == 5.0
-    assert reports.due(5.0) == ["a"]
-    assert reports.due(5.0) == []
-
-
 def test_a_run_that_was_heard_of_is_reported_each_second_for_a_while_and_no_longer() -> None:
     reports, reported = ReportSchedule(), []
     reports.keep_reporting("a", 0.0)
@@ -450,41 +377,6 @@ def test_a_run_that_was_heard_of_is_reported_each_second_for_a_while_and_no_long
     assert reports.deadline == inf
 
 
-def test_what_is_heard_of_often_is_not_reported_more_often() -> None:
-    reports, reported = ReportSchedule(), 0
-    for tenth in range(100):
-        reports.keep_reporting("a", tenth / 10)
-        reported += len(reports.due(tenth / 10))
-    assert reported == 9
-
-
-def test_runs_are_reported_each_in_its_own_time() -> None:
-    reports = ReportSchedule()
-    reports.report_now("a", 0.0)
-    reports.keep_reporting("b", 0.5)
-    assert reports.due(0.5) == ["a"]
-    assert sorted(reports.due(1.5)) == ["a", "b"]
-    reports.report_now("a", 1.6)
-    assert reports.due(1.6) == ["a"]
-
-
-def test_a_run_that_was_forgotten_is_remembered_by_its_next_news() -> None:
-    reports = ReportSchedule()
-    reports.report_now("a", 0.0)
-    while reports.deadline < inf:
-        reports.due(reports.deadline)
-    reports.report_now("a", 100.0)
-    assert reports.due(100.0) == ["a"]
-
-
-def test_all_that_are_remembered_can_be_repeated() -> None:
-    reports = ReportSchedule()
-    for run in "abc":
-        reports.keep_reporting(run, 0.0)
-    reports.report_all(0.1)
-    assert sorted(reports.due(0.1)) == ["a", "b", "c"]
-
-
 def test_a_full_disk_is_tried_again_and_given_up_after_a_while() -> None:
     disk = DiskSpaceRetry(Path("runs/mugs"), limit=10.0)
     for now in (100.0, 105.0, 110.0):
@@ -492,11 +384,3 @@ def test_a_full_disk_is_tried_again_and_given_up_after_a_while() -> None:
         assert (disk.trouble, disk.try_at) == ("no room", now + RETRY_INTERVAL)
     with pytest.raises(DiskFull, match=r"runs/mugs has had no room for 10 s.*`qdgrasp resume runs/mugs`"):
         disk.on_full("no room", 110.1, "qdgrasp resume runs/mugs")
-
-
-def test_room_that_was_found_begins_the_wait_anew() -> None:
-    disk = DiskSpaceRetry(Path("runs/mugs"), limit=10.0)
-    disk.on_full("no room", 100.0, "")
-    disk.on_written()
-    assert (disk.trouble, disk.try_at) == ("", -inf)
-    disk.on_full("no room", 200.0, "")

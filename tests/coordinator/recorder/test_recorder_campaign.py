@@ -8,23 +8,18 @@ from tests.fakes.recorder import (
     BUNDLE,
     JOB,
     SCENE,
-    SHAPE,
-    SPEC,
     FakeCoordinator,
     anonymous,
     make_rows,
     recording,
 )
 
-from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import bundle_transfer
 from qdgrasp_protocol.bus import Query
-from qdgrasp_protocol.errors import DiskFull, FolderError, Refused
+from qdgrasp_protocol.errors import DiskFull, Refused
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Opened, Platform
 
 ROWS = make_rows(3000)
@@ -94,29 +89,6 @@ def test_a_replaced_coordinators_rows_are_refused_for_one_run_as_for_all(network
             coordinator.open_runs("c", epoch=1)
 
 
-def test_a_run_that_nothing_was_heard_of_for_long_is_answered_when_its_rows_come_again(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("qdgrasp_coordinator.recorder.recorder.REPORT_SECONDS", 0.0)
-    with recording(network, path):
-        coordinator.open_runs("a")
-        coordinator.send(ROWS, 0, 10, run="a")
-        coordinator.hears_durable(10, "a")
-        coordinator.send(ROWS, 0, 10, run="a")
-        coordinator.hears_durable(10, "a")
-
-
-def test_rows_of_a_run_that_was_never_opened_are_dropped(network, coordinator, path) -> None:
-    with recording(network, path):
-        coordinator.open_runs("a")
-        coordinator.send(ROWS, 0, 10, run="b")
-        coordinator.send(ROWS, 0, 10, run="a")
-        coordinator.hears_durable(10, "a")
-        with pytest.raises(Refused, match="no journal of run 'b'"):
-            coordinator.page(0, 10, "b")
-    assert not (path / "runs" / "b").exists()
-
-
 def test_scenes_that_are_missing_are_fetched_for_all_runs(network, coordinator, path) -> None:
     asked: list[str] = []
 
@@ -134,44 +106,6 @@ def test_scenes_that_are_missing_are_fetched_for_all_runs(network, coordinator, 
         wait_for(lambda: all(folder.has_bundle() for folder in folders), "the scene in both folders")
     assert [folder.bundle() for folder in folders] == [BUNDLE, BUNDLE]
     assert len(asked) == len(set(asked)), "the scene was fetched more than once"
-
-
-def test_a_link_for_each_run_carries_its_rows_through(network, coordinator, path) -> None:
-    with recording(network, path):
-        coordinator.meet()
-        links = {run: RecorderClient(network.session(), JOB, SHAPE) for run in "ab"}
-        epoch = 0
-        for run, link in links.items():
-            epoch = link.open(coordinator.question(run=run), epoch, lambda: None).epoch
-            link.push(JournalSlice(0, ROWS))
-            link.tick(0.0)
-        coordinator.epoch = epoch
-        for run in "ab":
-            coordinator.hears_durable(3000, run)
-    assert recorded(path, "a") == recorded(path, "b") == ROWS.tobytes()
-
-
-class TestFolders:
-    def test_a_campaigns_folder_takes_no_run_of_its_own_and_the_other_way_round(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, tmp_path: Path
-    ) -> None:
-        with recording(network, path):
-            coordinator.open_runs("a")
-            with pytest.raises(Refused, match="holds a campaign, the coordinator opens a run of its own"):
-                coordinator.open()
-        single = RunFolder.create(tmp_path / "run", SPEC, BUNDLE, job=JOB).path
-        with recording(network, single):
-            with pytest.raises(Refused, match="holds a run of its own, the coordinator opens a campaign"):
-                coordinator.open_runs("a")
-            assert coordinator.open().epoch == 1
-
-    def test_one_recorder_at_a_time_writes_in_a_campaigns_folder(self, network, coordinator, path) -> None:
-        with recording(network, path):
-            coordinator.open_runs("a")
-            with recording(network, path) as second:
-                second.ends()
-                assert isinstance(second.error, FolderError)
-                assert "is in use" in str(second.error)
 
 
 class TestFullDisk:

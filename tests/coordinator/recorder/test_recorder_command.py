@@ -14,7 +14,6 @@ import pytest
 from tests.common import PATIENCE, own_endpoint
 from tests.fakes.recorder import BUNDLE, JOB, SPEC, FakeCoordinator, make_rows
 
-from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
@@ -94,13 +93,6 @@ def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(endpoint, ro
         assert len(journal_digest(journal)) == 64
 
 
-def test_bad_input_is_one_sentence_and_exit_code_2(endpoint: str, folder: RunFolder) -> None:
-    with recorder(endpoint, folder.path, "--wait", "0.2") as process:
-        _, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 2
-    assert said.startswith(f"qdgrasp-recorder: Nothing answers at {endpoint}".encode())
-
-
 def test_a_log_on_a_full_disk_changes_nothing(endpoint: str, router: ZenohBus, folder: RunFolder) -> None:
     coordinator = FakeCoordinator(router)
     with Path("/dev/full").open("wb") as full:
@@ -112,38 +104,3 @@ def test_a_log_on_a_full_disk_changes_nothing(endpoint: str, router: ZenohBus, f
             assert process.wait(PATIENCE) == 143
         with folder.job.lock(), recorder(endpoint, folder.path, stderr=full) as process:
             assert process.wait(PATIENCE) == 2
-
-
-def test_two_recorders_of_one_folder_are_one_too_many(endpoint, router, folder) -> None:
-    with folder.job.lock(), recorder(endpoint, folder.path) as process:
-        _, said = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 2
-    assert f"is in use by process {os.getpid()}".encode() in said
-
-
-def test_a_journal_can_be_read_while_it_is_written(endpoint, router, folder) -> None:
-    coordinator, rows = FakeCoordinator(router), make_rows(1000)
-    with recorder(endpoint, folder.path):
-        coordinator.open()
-        coordinator.send(rows, 0, 1000)
-        coordinator.hears_durable(1000)
-        with Journal.open(folder.path) as journal:
-            assert journal.rows(0, 4096).tobytes() == rows.tobytes()
-
-
-def test_a_kill_loses_nothing_durable_of_any_run(endpoint: str, router: ZenohBus, tmp_path: Path) -> None:
-    coordinator, rows, path = FakeCoordinator(router), make_rows(2000), tmp_path / "campaign"
-    for turn in range(3):
-        with recorder(endpoint, path) as process:
-            runs = ("a", "b")[: turn + 1]
-            durable = coordinator.open_runs(*runs, epoch=min(turn, 1)).durable
-            assert coordinator.epoch == 1
-            for first, run in zip(durable, runs, strict=True):
-                coordinator.send(rows, first, first + 500, run=run)
-            for first, run in zip(durable, runs, strict=True):
-                coordinator.hears_durable(first + 500, run)
-            process.kill()
-            process.wait(PATIENCE)
-    for run, stop in (("a", 1500), ("b", 1000)):
-        with RunFolder.open(path / "runs" / run).journal() as journal:
-            assert journal.rows(0, 4096).tobytes() == rows[:stop].tobytes()

@@ -29,15 +29,6 @@ def show_scene(bus: Bus) -> None:
 
 
 class TestOpening:
-    def test_a_larger_budget_is_taken_over_into_spec_and_journal(self, network, coordinator, folder) -> None:
-        longer = RunSpec(gripper="panda", object="mug", evaluations=2000)
-        with recording(network, folder.path):
-            coordinator.open()
-            coordinator.open(to_toml(longer))
-        assert folder.spec == longer
-        with folder.journal() as journal:
-            assert journal.spec == longer
-
     def test_another_spec_or_scene_or_job_is_refused_with_the_difference(self, network, coordinator, folder):
         other = RunSpec(gripper="panda", object="mug", seed=1, mutation_sigma=0.2)
         for opened_before in (False, True):
@@ -64,21 +55,6 @@ class TestOpening:
             wait_for(folder.has_bundle)
         assert folder.bundle() == BUNDLE
         assert (folder.spec, folder.job.name, folder.job.epoch) == (SPEC, JOB, 1)
-
-    def test_a_scene_that_was_not_shown_yet_is_fetched_with_the_first_rows_of_a_run_that_may_be_short(
-        self,
-        network: MemoryNetwork,
-        coordinator: FakeCoordinator,
-        tmp_path: Path,
-        monkeypatch: pytest.MonkeyPatch,
-    ) -> None:
-        monkeypatch.setattr("qdgrasp_coordinator.recorder.recorder_service.FETCH_INTERVAL", 100 * PATIENCE)
-        with network.session() as bus, recording(network, tmp_path / "new"):
-            coordinator.open()
-            coordinator.hears_durable(0)  # it was not there when it was first asked for
-            show_scene(bus)
-            coordinator.send(make_rows(30), 0, 30)
-            wait_for(RunFolder.open(tmp_path / "new").has_bundle)
 
     def test_a_coordinator_that_is_slow_to_show_its_scene_keeps_no_row_waiting_and_no_recorder_from_ending(
         self,
@@ -159,23 +135,6 @@ class TestRecording:
             run.hears(lambda report: report.durable == 10)
         with folder.journal() as journal:
             assert journal.platform == {"pybullet": "3.2.7"}
-
-    def test_a_restored_disk_is_reported_to_the_coordinator_that_is_ahead_of_it(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, folder: RunFolder
-    ) -> None:
-        rows = make_rows(20)
-        with recording(network, folder.path):
-            coordinator.open()
-        coordinator.epoch = 7
-        with recording(network, folder.path):
-            coordinator.meet()
-            coordinator.send(rows, 0, 10)
-            coordinator.hears_durable(10)
-        assert folder.job.epoch == 7
-
-    def test_reading_before_the_run_is_opened_is_refused(self, network, coordinator, folder) -> None:
-        with recording(network, folder.path), pytest.raises(Refused, match="was not opened"):
-            coordinator.page(0, 10)
 
 
 class TestFolders:

@@ -43,35 +43,6 @@ def commit(writer: RunWriter) -> list[int]:
     return writer.journal.slice(before, 10**9).rows["index"].tolist()
 
 
-def test_rows_that_follow_are_taken() -> None:
-    writer = make_writer(epoch=1, durable=10)
-    assert writer.add(part(10, 12), 1, 0.0) is Arrival.TAKEN
-    assert writer.add(part(12, 15), 1, 0.0) is Arrival.TAKEN
-    assert (writer.expected, writer.durable) == (15, 10)
-    assert commit(writer) == [10, 11, 12, 13, 14]
-
-
-def test_of_rows_that_overlap_only_the_new_ones_are_taken() -> None:
-    writer = make_writer(epoch=1, durable=10)
-    writer.add(part(10, 12), 1, 0.0)
-    assert writer.add(part(5, 14), 1, 0.0) is Arrival.TAKEN
-    assert commit(writer) == [10, 11, 12, 13]
-
-
-def test_known_rows_and_no_rows_at_all_are_duplicates() -> None:
-    writer = make_writer(epoch=1, durable=10)
-    writer.add(part(10, 12), 1, 0.0)
-    for first, stop in ((0, 5), (0, 10), (9, 12), (10, 11), (12, 12), (3, 3)):
-        assert writer.add(part(first, stop), 1, 0.0) is Arrival.DUPLICATE
-    assert commit(writer) == [10, 11]
-
-
-def test_rows_behind_a_gap_are_not_taken() -> None:
-    writer = make_writer(epoch=1, durable=10)
-    assert writer.add(part(11, 12), 1, 0.0) is Arrival.GAP
-    assert commit(writer) == []
-
-
 def test_a_replaced_coordinator_is_refused_and_a_newer_one_adopted() -> None:
     writer = make_writer(epoch=3, durable=0)
     assert writer.add(part(0, 1), 2, 0.0) is Arrival.STALE

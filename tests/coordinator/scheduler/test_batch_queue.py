@@ -1,5 +1,3 @@
-import random
-
 import numpy as np
 import pytest
 from tests.fakes.messages import result_message
@@ -7,16 +5,10 @@ from tests.fakes.messages import result_message
 from qdgrasp_coordinator.scheduler.batch_dispatcher import read_result
 from qdgrasp_coordinator.scheduler.batch_queue import (
     BATCH_SECONDS,
-    FIRST_ROWS,
     LEAST_SECONDS,
     MOST_ROWS,
-    SCENE_SLACK,
-    Batch,
-    BatchQueue,
     BatchSizer,
-    RunRef,
 )
-from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, LeaseTimeout
 from qdgrasp_protocol.messages import Failure, Result, deflated
 from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, pack
@@ -73,15 +65,6 @@ def test_all_rows_of_a_result_that_cannot_be_read_fail() -> None:
     assert not rows["outcome"].any()
 
 
-@pytest.mark.parametrize("number", [np.nan, np.inf])
-def test_a_contact_that_cannot_be_fails_its_row(number: float) -> None:
-    shape = RowShape(genes=2, joints=1, contact_slots=2)
-    rows = shape.empty(2)
-    rows["contact_points"][1, 13], rows["contact_points"][0, 6] = number, 60_000
-    message = result_message(n=2, columns=deflated(pack(rows, RESULT)), contact_slots=2)
-    assert [failure.row for failure in read_result(message, shape)[0].failures] == [1]
-
-
 def measured(seconds_per_row: float) -> BatchSizer:
     sizer = BatchSizer()
     for _ in range(3):
@@ -96,10 +79,6 @@ def batches(sizer: BatchSizer, remaining: int, workers: int) -> list[int]:
         cut.append(sizer.next_size(remaining, workers))
         remaining -= cut[-1]
     return cut
-
-
-def test_the_first_batches_are_small() -> None:
-    assert BatchSizer().next_size(10_000, 2) == FIRST_ROWS
 
 
 @pytest.mark.parametrize(
@@ -120,20 +99,8 @@ def test_the_end_of_a_generation_is_shared(workers: int) -> None:
     assert left == 0
 
 
-def test_sharing_makes_no_tiny_batches() -> None:
-    cut = batches(measured(0.001), 500, 100)
-    assert min(cut[:-1]) >= LEAST_SECONDS / 0.001 - 1  # but for the rest
-
-
 def test_a_fixed_size_is_kept_but_for_the_rest() -> None:
     assert batches(BatchSizer(64), 200, 9) == [64, 64, 64, 8]
-
-
-def test_the_latest_batches_count_most() -> None:
-    sizer = measured(0.01)
-    for _ in range(60):
-        sizer.measure(100, 0.1)
-    assert sizer.seconds_per_row == pytest.approx(0.001, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -152,15 +119,6 @@ def test_timeout_is_ten_times_the_turnaround_that_nineteen_of_twenty_keep(turnar
     assert timeout.limit == limit
 
 
-def test_the_timeout_follows_turnarounds_also_after_it_was_asked_for() -> None:
-    timeout = LeaseTimeout()
-    assert timeout.limit == LEASE_SECONDS
-    for turnarounds, limit in (([2.0] * 95 + [60.0] * 5, 20.0), ([60.0] * 10, 600.0)):
-        for seconds in turnarounds:
-            timeout.measure(seconds)
-        assert timeout.limit == limit
-
-
 def test_runs_share_the_workers_so_each_cuts_for_its_part_of_them() -> None:
     sizer = BatchSizer()
     sizer.measure(10, 0.2)
@@ -169,64 +127,6 @@ def test_runs_share_the_workers_so_each_cuts_for_its_part_of_them() -> None:
     )  # 0.25 s, less than half of the part of each of 10 workers
     assert sizer.next_size(500, 1000, runs=16) == 4
     assert sizer.next_size(500, 1000) == 1
-
-
-def generation(rows: int, number: int = 0) -> Generation:
-    indices = np.arange(rows, dtype=np.uint32)
-    return Generation(number, indices, np.zeros(rows, np.uint16), np.zeros((rows, 2), np.float32))
-
-
-@pytest.mark.parametrize(("runs", "sizes"), [(1, (5, 1)), (2, (5, 4))])
-def test_rows_of_later_generations_make_larger_batches_where_there_are_other_runs(runs, sizes) -> None:
-    queue, refs = BatchQueue(None), [RunRef(f"run-{n}", "scene", "prior") for n in range(runs)]
-    for ref in refs:
-        for number in range(16 // runs):
-            queue.submit(ref, generation(50, number))
-        queue.measure(Batch(id=b"", run=ref, rows=generation(50)), 50 * 0.05)
-    few = len(queue.pop("run-0", 4))  # 0.25 s
-    assert (few, len(queue.pop("run-0", 100))) == sizes
-
-
-class ScannedQueue(BatchQueue):
-    """A queue that looks at all of its runs for the next one."""
-
-    def scanned(self, scenes: set[str], *, has_device: bool) -> str | None:
-        waiting = [rows for rows in self._runs.values() if rows and rows.run.needs_device <= has_device]
-        if any(rows.run.needs_device for rows in waiting):
-            waiting = [rows for rows in waiting if rows.run.needs_device]
-        if not waiting:
-            return None
-        least = min(waiting, key=lambda rows: rows.served)
-        held = [rows for rows in waiting if rows.run.scene in scenes]
-        nearest = min(held, key=lambda rows: rows.served, default=least)
-        return (nearest if nearest.served <= least.served + SCENE_SLACK else least).run.run
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_the_next_run_is_the_one_that_a_look_at_all_of_them_gives(seed: int) -> None:
-    chance, queue, leased, asked = random.Random(seed), ScannedQueue(None), [], 0  # noqa: S311 - dice
-    engines = (None, None, None, "mujoco-warp")
-    refs = [RunRef(f"run-{n}", f"scene-{n % 5}", "prior", engines[n % 4]) for n in range(12)]
-    for _ in range(1500):
-        ref, act = chance.choice(refs), chance.random()
-        if act < 0.15:
-            queue.submit(ref, generation(chance.randint(1, 30)))
-        elif act < 0.2 and leased:
-            batch = leased.pop(chance.randrange(len(leased)))
-            (queue.requeue if batch.run.run in queue._runs else queue.remove)(batch)
-        elif act < 0.22 and leased:
-            queue.remove(chance.choice(leased))
-        elif act < 0.24:
-            queue.withdraw(ref.run)
-        scenes, has_device = {f"scene-{chance.randrange(5)}" for _ in range(2)}, chance.random() < 0.5
-        found = queue.next_run(scenes, has_device)
-        assert found == queue.scanned(scenes, has_device=has_device)
-        if found is not None:
-            asked += 1
-            leased.append(queue.pop(found, 4, 8))
-            queue.measure(leased[-1], len(leased[-1]) * chance.choice([0.1, 1.0, 3.0]))
-        assert queue._rows == sum(map(len, queue._runs.values()))
-    assert asked > 300
 
 
 def test_no_batch_is_so_small_that_handing_them_out_takes_longer_than_the_work() -> None:

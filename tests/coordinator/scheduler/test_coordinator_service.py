@@ -1,12 +1,10 @@
 """The coordinator's service with many runs at once, commanded by administrators."""
 
 import hashlib
-import json
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-import numpy as np
 import pytest
 from tests.common import PATIENCE, wait_for
 from tests.coordinator.scheduler.search_plans import Plan, reference
@@ -18,9 +16,8 @@ from tests.fakes.worker import FakeWorker
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
 from qdgrasp_protocol import bundle_transfer
 from qdgrasp_protocol.bus import Bus
-from qdgrasp_protocol.errors import Cancelled, InputError, Refused, RunsFailed, TookOver
+from qdgrasp_protocol.errors import Cancelled, Refused, RunsFailed, TookOver
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.rows import Outcome
 
 
 def test_many_runs_at_once_find_what_each_finds_alone() -> None:
@@ -42,25 +39,6 @@ def test_a_coordinator_that_another_one_replaced_ends_and_no_run_fails_for_it() 
         Job(dict(PLANS), **{"run-2": ReplacedSink}).carry_out()
 
 
-def test_of_many_runs_that_cannot_be_made_some_are_named() -> None:
-    bad = dict.fromkeys([f"bad-{number}" for number in range(13)])
-    with pytest.raises(
-        RunsFailed, match=r"13 of 14 runs .* 'bad-0': Its .* 'bad-1', .*'bad-10' and 2 more\.$"
-    ):
-        Job({**bad, "run-0": PLANS["run-0"]}).carry_out()
-
-
-def test_the_only_run_of_a_job_fails_with_its_own_sentence() -> None:
-    with pytest.raises(InputError, match=r"^Its mesh is no mesh\.$"):
-        Job({"bad": None}).carry_out()
-
-
-def test_no_more_runs_are_open_than_keep_the_workers_busy() -> None:
-    job = Job({f"run-{seed}": Plan(seed=seed, population=400, evaluations=800) for seed in range(4)})
-    job.carry_out(workers=1)
-    assert max(job.open) <= 3
-
-
 def test_scenes_of_runs_in_progress_are_handed_out_and_no_others() -> None:
     job = Job(dict(PLANS))
     other = job.network.session()
@@ -70,18 +48,6 @@ def test_scenes_of_runs_in_progress_are_handed_out_and_no_others() -> None:
         assert bundle_transfer.fetch_bundle(other, JOB, hashlib.sha256(scene).hexdigest()) == scene
         with pytest.raises(Refused, match="no run in progress has the scene"):
             bundle_transfer.fetch_bundle(other, JOB, "0" * 64)
-
-
-def test_the_last_figures_of_the_job_count_all_runs() -> None:
-    job = Job(dict(PLANS))
-    seen: list[JobStatus] = []
-    with job.network.session().subscribe(
-        Keys(JOB).stat("job"), lambda sample: seen.append(from_json(sample.payload, JobStatus))
-    ):
-        job.carry_out()
-    last = seen[-1]
-    assert (last.runs_done, last.runs_open, last.runs) == (6, 0, 6)
-    assert last.evaluations == last.budget == 240
 
 
 def test_a_full_disk_is_waited_for_and_no_run_fails_for_it() -> None:
@@ -102,24 +68,6 @@ def test_a_run_of_another_platform_fails_and_the_others_are_done() -> None:
     with pytest.raises(RunsFailed, match=r"'run-5': Its rows were made elsewhere: .* pybullet 2\.0"):
         job.carry_out()
     assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()} | {"run-5": b""}
-
-
-def test_nobody_works_on_what_a_finished_run_does_not_need() -> None:
-    plan = Plan(population=200, evaluations=20, overlaps="redraw")
-    job = Job({"slow": plan}, slow=SlowSink)
-    looks: list[float] = []
-
-    def look(now: float) -> None:
-        if job.service.status(now).evaluations == plan.evaluations:
-            looks.append(now)
-        if len(looks) == 5:
-            job.records["slow"].is_safe = True
-
-    with FakeWorker(job.network.session(), FAY).at_work() as worker:
-        job.service.run(look)
-    rows = job.records["slow"].rows
-    again, held, crossing = 2 * np.count_nonzero(rows["outcome"] == Outcome.ERROR), 2 * 2, 1
-    assert worker.rows <= len(rows) + again + held + crossing
 
 
 def test_what_a_finished_run_held_is_let_go() -> None:
@@ -218,21 +166,6 @@ def test_a_drained_worker_is_told_and_gets_nothing_more() -> None:
         assert ann.rows == before
 
 
-def test_a_drained_worker_that_comes_back_is_told_again() -> None:
-    job = Job({"run-0": LONG})
-    session = job.network.session()
-    ann = FakeWorker(session, ANN, answers=False)
-    with job.serving(), job.network.session() as bus, ann.at_work():
-        assert ann.kept.wait(PATIENCE)
-        send_command(bus, "drain", worker=ANN[:3])
-        before = ann.rows
-        session.disconnect()
-        session.reconnect()
-        wait_for(lambda: len(ann.controls) == 2)
-        assert ann.controls[-1].drain
-        assert ann.rows == before
-
-
 @pytest.mark.parametrize(
     ("whom", "reason"),
     [
@@ -259,26 +192,3 @@ def test_a_job_whose_time_is_over_ends_without_an_error() -> None:
         job.service.run()
         assert told()[-1] == "cancelled"
     assert len(job.records["run-0"].rows) < LONG.evaluations
-
-
-def test_of_a_job_that_is_done_nobody_is_told_that_it_is_cancelled() -> None:
-    job = Job(dict(PLANS))
-    with FakeWorker(job.network.session(), ANN).at_work(), last_words(job.network.session()) as told:
-        job.service.run()
-        assert told()[-1] == "running"
-
-
-def test_late_comers_see_the_job_its_runs_and_its_workers() -> None:
-    job = Job({"run-0": LONG, "run-1": LONG})
-    with job.serving(), job.network.session() as bus:
-        assert job_view(bus).meta.epoch in (0, 1)
-        with FakeWorker(job.network.session(), ANN, answers=False).at_work() as worker:
-            assert worker.kept.wait(PATIENCE)
-            wait_for(lambda: [one.state for one in job_view(bus).workers] == ["working"])
-            view = job_view(bus)
-            values = bus.ask_all(Keys(JOB).stat("team/*"))
-    assert (view.meta.job, view.meta.epoch, view.meta.runs) == (JOB, 1, 2)
-    assert view.meta.budget == 2 * LONG.evaluations
-    assert [(one.wid, one.host, one.state) for one in view.workers] == [(ANN, "here", "working")]
-    assert [one["wid"] for value in values.values() for one in json.loads(value)["workers"]] == [ANN]
-    assert {one.run for one in view.runs} <= {"run-0", "run-1"}

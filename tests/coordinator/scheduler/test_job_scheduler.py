@@ -88,23 +88,6 @@ def test_a_worker_whose_token_is_late_is_not_shown_as_gone(job: SchedulerWithout
     assert job.states(3.0) == ["gone"]
 
 
-def test_a_worker_that_said_it_leaves_has_left(job: SchedulerWithoutRuns) -> None:
-    job.joins(join_message(ANN), 0.0)
-    job.joins(join_message(ANN, number=2, credit=0), 1.0)
-    job.dies(ANN, 2.0)
-    job.scheduler.step(4.0)
-    assert [words.split(")")[1] for words in job.words] == [" joined.", " has left."]
-
-
-def test_a_worker_that_joins_again_goes_on_as_it_was(job: SchedulerWithoutRuns) -> None:
-    job.joins(join_message(ANN), 0.0)
-    job.dies(ANN, 5.0)
-    job.scheduler.step(7.0)
-    job.joins(join_message(ANN, number=2), 20.0)
-    (ann,) = job.shown(30.0)
-    assert (ann.state, ann.seconds) == ("idle", 30.0)
-
-
 def test_a_refused_worker_is_told_of_with_the_reason(job: SchedulerWithoutRuns) -> None:
     job.joins(join_message(ANN), 0.0)
     other = msgspec.structs.replace(join_message(BOB), platform={"pybullet": "9"})

@@ -128,16 +128,6 @@ def test_recorded_rows_allow_just_the_budgets_whose_journals_begin_with_them(ove
                     tally.check_budget(asked)
 
 
-@pytest.mark.parametrize(("in_flight", "sizes"), [(1, [10, 10, 3]), (5, [23])])
-def test_counting_everything_asks_exactly_the_budget(in_flight: int, sizes: list[int]) -> None:
-    pipeline = Plan(population=10, evaluations=23, in_flight=in_flight).pipeline()
-    for size in sizes:
-        rows = asked(pipeline)
-        assert len(rows) == size
-        pipeline.settle(rows)
-    assert len(asked(pipeline)) == 0
-
-
 def test_a_generation_is_asked_when_the_one_it_waits_for_is_told_even_if_nobody_fetches_it() -> None:
     spy = Spy(4)
     pipeline = Pipeline(spy, SHAPE, 1000, "count", flight=Flight(2))
@@ -159,17 +149,6 @@ def test_generations_in_flight_become_more_with_every_eighth_that_is_told_up_to_
         while (more := pipeline.ask()) is not None:
             waiting.append(more)
     assert spy.calls[14:22] == ["tell 6", "ask 8", "tell 7", "ask 9", "ask 10", "tell 8", "ask 11", "tell 9"]
-
-
-def test_a_most_below_the_first_changes_nothing() -> None:
-    spec = RunSpec(gripper="panda", object="mug", population=50, generations_in_flight=2, in_flight=60)
-    assert {Flight.of(spec).after(told) for told in range(100)} == {2}
-
-
-def test_the_generation_that_spends_the_budget_is_not_told() -> None:
-    spy = Spy(4)
-    journal(Pipeline(spy, SHAPE, 8, "count"), 0)
-    assert spy.calls == ["ask 0", "tell 0", "ask 1"]
 
 
 class Barren(Spy):
@@ -195,11 +174,6 @@ def test_a_run_ends_when_its_last_twenty_generations_counted_nothing(fertile: in
     again = Pipeline(Barren(fertile), SHAPE, 200, "redraw", flight=Flight(2))
     again.replay(found)
     assert (again.finished, again.ask()) == (pipeline.finished, None)
-
-
-def test_overlaps_that_count_do_not_end_a_run_early() -> None:
-    pipeline = Pipeline(Barren(-1), SHAPE, 3 * BARREN + 9, "count")
-    assert len(rows_in(journal(pipeline, 0))) == 3 * BARREN + 9
 
 
 def test_rows_that_come_again_are_ignored() -> None:
@@ -258,16 +232,6 @@ def test_a_journal_of_another_run_is_refused_in_one_sentence(column: str, value:
     with pytest.raises(ReplayError, match=f"journal's {words}") as caught:
         plan.pipeline().replay(recorded)
     assert "\n" not in str(caught.value)
-
-
-def test_one_bit_of_one_genome_is_enough_to_refuse_a_journal() -> None:
-    plan = Plan(population=4, evaluations=40)
-    recorded = rows_in(reference(plan)).copy()
-    recorded["genome"].view(np.uint32)[33, 1] ^= 1
-    pipeline = plan.pipeline()
-    pipeline.replay(recorded[:33])
-    with pytest.raises(ReplayError, match="generation 8, index 1"):
-        pipeline.replay(recorded[33:])
 
 
 @pytest.mark.parametrize("overlaps", ["count", "redraw"])
@@ -340,14 +304,6 @@ def test_a_run_ends_with_the_trials_of_the_rows_that_its_budget_reaches() -> Non
     assert search.calls == ["ask 0"]
 
 
-def test_where_overlaps_are_redrawn_no_trial_is_asked_behind_the_row_that_ends_the_run() -> None:
-    pipeline = Plan(population=9, evaluations=3, overlaps="redraw", trials=3, seed=2).pipeline()
-    pipeline.settle(asked(pipeline)[::-1])
-    end = pipeline.tally.rows
-    assert end < 9
-    assert asked(pipeline)["index"].max() < end
-
-
 def test_trials_that_nobody_asked_for_are_ignored() -> None:
     _, pipeline = fertile()
     nominal = asked(pipeline)
@@ -384,14 +340,3 @@ def test_of_recorded_trials_only_the_missing_ones_are_asked_again() -> None:
     _, resumed = fertile()
     resumed.replay(recorded)
     assert keys_of(asked(resumed)) == [(2, 2), (2, 3)]
-
-
-def test_a_generation_with_fifty_thousand_trials_is_told_when_the_last_is_here() -> None:
-    """Five hundred successes with a hundred trials each, in batches of twenty-five."""
-    search, pipeline = fertile(population=1000, evaluations=10_000, trials=100)
-    pipeline.settle(asked(pipeline))
-    trials = asked(pipeline)
-    assert len(trials) == 50_000
-    found = [len(pipeline.settle(trials[first : first + 25])) for first in range(0, len(trials), 25)]
-    assert sum(found) == 50_000
-    assert search.calls[-1] == "ask 1"

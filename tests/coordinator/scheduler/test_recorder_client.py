@@ -15,9 +15,9 @@ from qdgrasp_coordinator.scheduler.recorder_client import (
 )
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_protocol.bus import Query
-from qdgrasp_protocol.errors import InputError, NoReply, RecorderFellBack, Refused, TookOver
+from qdgrasp_protocol.errors import InputError, RecorderFellBack, Refused, TookOver
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryBus, MemoryNetwork
+from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import RowShape
 
@@ -58,12 +58,6 @@ def test_rows_are_sent_once_while_all_is_well() -> None:
     assert outbox.take_due(100.0) == []
 
 
-def test_many_rows_go_in_slices_and_small_ones_together() -> None:
-    slices = filled(*[7] * 400).take_due(0.0)
-    assert numbers(slices) == list(range(2800))
-    assert len(slices) == 3
-
-
 def test_what_is_not_durable_is_sent_again_after_a_while() -> None:
     outbox = filled(10, sent=5.0)
     outbox.confirm(4, 6.0)
@@ -79,14 +73,6 @@ def test_a_report_without_progress_puts_nothing_off() -> None:
     assert numbers(outbox.take_due(RESEND_AFTER)) == list(range(10))
 
 
-def test_time_without_anything_to_confirm_does_not_count() -> None:
-    outbox = filled(2, sent=0.0)
-    outbox.confirm(2, 0.1)
-    outbox.push(journal_slice(2, 2))
-    assert numbers(outbox.take_due(1000.0)) == [2, 3]
-    assert outbox.take_due(1000.0 + RESEND_AFTER / 2) == []
-
-
 @pytest.mark.parametrize(("sizes", "durable"), [([10], 3), ([5, 5, 5], 7)])
 def test_a_new_recorder_is_sent_everything_that_is_not_durable_at_once(sizes, durable) -> None:
     outbox = filled(*sizes, sent=0.0)
@@ -96,20 +82,6 @@ def test_a_new_recorder_is_sent_everything_that_is_not_durable_at_once(sizes, du
     assert outbox.take_due(0.2 + RESEND_AFTER / 2) == []
 
 
-def test_rows_may_be_durable_before_they_are_known_to_be_sent() -> None:
-    outbox = filled(5, sent=0.0)
-    outbox.resend(0.1)
-    outbox.confirm(5, 0.2)
-    assert outbox.take_due(0.3) == []
-    assert outbox.is_empty
-
-
-def test_numbers_go_on_from_what_was_durable_at_the_start() -> None:
-    outbox = filled(3, durable=50)
-    assert numbers(outbox.take_due(0.0)) == [50, 51, 52]
-    assert (outbox.confirmed, outbox.unconfirmed) == (50, 3)
-
-
 def test_it_is_full_when_too_much_is_unconfirmed() -> None:
     outbox = filled(MOST_UNCONFIRMED)
     assert not outbox.is_full
@@ -117,11 +89,6 @@ def test_it_is_full_when_too_much_is_unconfirmed() -> None:
     assert outbox.is_full
     outbox.confirm(1, 0.0)
     assert not outbox.is_full
-
-
-def test_a_gap_is_refused() -> None:
-    with pytest.raises(ValueError, match="row 3 was to be next, got 4"):
-        filled(3).push(journal_slice(4, 1))
 
 
 def test_reasons_of_errors_are_sent_with_their_rows() -> None:
@@ -189,38 +156,3 @@ def test_a_recorder_that_serves_another_coordinator_ends_this_one() -> None:
         pytest.raises(TookOver, match=r"^Another coordinator of job 'many' took over \(epoch 2\)\.$"),
     ):
         link.open(RUN, 1, wait)
-
-
-class Deaf(MemoryBus):
-    """A session whose questions are lost or unanswered; it keeps their timeouts."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, is_lost: bool) -> None:
-        super().__init__(MemoryNetwork())
-        self.waited: list[float] = []
-        self._now = 0.0
-        self._is_lost = is_lost
-        monkeypatch.setattr("time.monotonic", lambda: self._now)
-
-    def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
-        self.waited.append(timeout)
-        self._now += timeout if self._is_lost else 0.0
-        raise NoReply("nothing came")
-
-
-@pytest.mark.parametrize(
-    ("is_lost", "waited"), [(True, [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]), (False, [1.0] * 6)]
-)
-def test_a_question_that_was_lost_is_soon_asked_again_and_a_slow_recorder_has_time(
-    monkeypatch: pytest.MonkeyPatch, is_lost: bool, waited: list[float]
-) -> None:
-    class Enough(Exception):
-        """Raised to end the test."""
-
-    def look() -> None:
-        if len(bus.waited) == len(waited):
-            raise Enough
-
-    bus = Deaf(monkeypatch, is_lost=is_lost)
-    with pytest.raises(Enough):
-        RecorderClient(bus, "many", SHAPE).open(RUN, 0, look)
-    assert bus.waited == waited

@@ -1,18 +1,13 @@
 """Plans of runs from specs, and the queue of a job with one run."""
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 import pytest
 
 from qdgrasp_coordinator.scheduler.run_plan import (
     ReevaluationPlan,
-    SingleRunQueue,
     full_spec,
     prepare_scene,
 )
@@ -31,26 +26,12 @@ def test_the_spec_is_completed_with_what_the_method_has(entry) -> None:
     assert (spec.generations_in_flight, spec.aim_for) == (entry.generations_in_flight, entry.aim_for)
 
 
-def test_without_a_method_a_run_has_the_default() -> None:
-    assert full_spec(dict(ASKED)) == full_spec({**ASKED, "method": "aimed"})
-
-
 def test_more_genomes_in_flight_are_taken_for_granted_where_nothing_is_said_of_them() -> None:
     """A recorded spec has all keys; where one is given, the others keep their older defaults."""
     assert full_spec(dict(ASKED)).in_flight == METHODS["aimed"].in_flight
     for said in ({"population": 50}, {"generations_in_flight": 2}, {"in_flight": None}):
         assert full_spec(ASKED | said).in_flight is None
     assert full_spec({**ASKED, "generations_in_flight": 2, "in_flight": 100}).in_flight == 100
-
-
-@pytest.mark.parametrize("other", [{"diversity": "orientation"}, {"method": "me_scs"}, {"overlaps": "count"}])
-def test_genomes_in_flight_stay_as_many_for_what_was_not_measured_with_more(other) -> None:
-    assert full_spec(ASKED | other).in_flight is None
-
-
-def test_fewer_genomes_in_flight_than_a_generation_are_refused() -> None:
-    with pytest.raises(ImpossibleValue, match=r"^in_flight must be at least one generation, .* 50 genomes"):
-        full_spec({**ASKED, "population": 50, "in_flight": 49})
 
 
 def test_what_is_asked_for_stays() -> None:
@@ -153,59 +134,9 @@ def test_a_row_that_comes_twice_is_compared_once(repetition, heard) -> None:
     assert repetition.tally.evaluations == N
 
 
-def test_it_is_over_with_the_last_row(repetition: ReevaluationPlan) -> None:
-    rows = evaluated(repetition)
-    repetition.settle(rows[:-1])
-    assert repetition.finished is None
-    repetition.settle(rows[-1:])
-    assert repetition.finished == "all rows were evaluated again"
-    assert repetition.tally.left == 0
-
-
 def test_why_a_row_failed_is_told_with_it(repetition, heard) -> None:
     repetition.settle(evaluated(repetition)[::-1], failures=[Failure(row=1, reason="it burst")])
     assert [(place, reason) for place, _, reason in heard if reason] == [(N - 2, "it burst")]
 
 
 # The queue of a job with one run.
-
-MADE = object()
-MOST_INSTRUCTIONS = 100
-
-
-@contextmanager
-def before_instruction(number: int, function: Callable, act: Callable[[], None]) -> Iterator[None]:
-    """Call a function once before that instruction of another one, as a thread may."""
-    left = number
-
-    def traced(frame: FrameType, event: str, _: object) -> object:
-        nonlocal left
-        if frame.f_code is not function.__code__:
-            return None
-        frame.f_trace_opcodes = True
-        if event == "opcode":
-            left -= 1
-            if left == -1:
-                act()
-        return traced
-
-    before = sys.gettrace()
-    sys.settrace(traced)
-    try:
-        yield
-    finally:
-        sys.settrace(before)
-
-
-def test_a_run_that_is_put_back_at_any_moment_is_made_once_again() -> None:
-    moments = []
-    for number in range(MOST_INSTRUCTIONS):
-        single = SingleRunQueue(lambda: MADE, 1)  # type: ignore[arg-type,return-value]
-        assert single.next() is MADE
-        with before_instruction(number, SingleRunQueue.next, lambda: moments.append(single.put_back("run"))):  # noqa: B023
-            made = [single.next()]
-        if len(moments) == number:  # there are not so many
-            break
-        made += [single.next(), single.next()]
-        assert made.count(MADE) == 1, f"put back before instruction {number}"
-    assert 3 < len(moments) < MOST_INSTRUCTIONS

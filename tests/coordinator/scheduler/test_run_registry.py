@@ -109,13 +109,6 @@ def test_what_remains_is_of_runs_that_are_not_over() -> None:
     assert remaining() == 40
 
 
-def test_a_run_that_is_put_back_is_opened_once() -> None:
-    coming = Coming("run", "other")
-    coming.runs.reopen(coming.open())
-    assert [coming.open().name for _ in range(2)] == ["run", "other"]
-    assert coming.ask() == NoRunLeft()
-
-
 def test_as_many_runs_are_open_at_once_as_there_are_workers_between_two_bounds(monkeypatch) -> None:
     monkeypatch.setattr(run_registry, "MOST_RUNS", 1)
     monkeypatch.setattr(run_registry, "MOST_RUNS_OF_MANY", 3)

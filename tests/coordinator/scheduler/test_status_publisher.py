@@ -1,47 +1,35 @@
 """Status on the bus: published, and answered to queries of late comers."""
 
 import re
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager
 from operator import attrgetter
-from types import SimpleNamespace
 
 import pytest
 from tests.common import PATIENCE, wait_for
 from tests.coordinator.scheduler.search_plans import Plan
-from tests.fakes.job import PLANS, IdentifiedSink, Job
-from tests.fakes.messages import ANN, FAY, join_message, made_id
+from tests.fakes.job import PLANS, Job
+from tests.fakes.messages import ANN, FAY, made_id
 from tests.fakes.recorder import JOB
 from tests.fakes.worker import FakeWorker
 
 from qdgrasp_coordinator.metrics import job_status
 from qdgrasp_coordinator.metrics.job_status import (
-    EVENTS_KEPT,
-    EventLog,
     JobEvent,
     JobEvents,
-    JobMeta,
     JobStatus,
     RunStatus,
     WorkersPage,
     from_json,
-    to_json,
 )
 from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve, RunCounter
-from qdgrasp_coordinator.scheduler import coordinator_service, status_publisher
-from qdgrasp_coordinator.scheduler.inbox import Inbox, InboxEvent, JoinRequest
 from qdgrasp_coordinator.scheduler.status_publisher import (
-    CURVE_SECONDS,
     STALE_SECONDS,
-    STATUS_INTERVAL,
     StatusCache,
-    StatusPublisher,
 )
-from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Query, Sample
 from qdgrasp_protocol.errors import NoReply, RunsFailed
 from qdgrasp_protocol.keys import Keys, matches
-from qdgrasp_protocol.messages import Opened
 from qdgrasp_protocol.rows import Outcome
 
 ROOT = "qdgrasp/v1/mugs/stat"
@@ -80,15 +68,6 @@ def test_what_is_not_there_any_more_is_told_to_nobody() -> None:
     assert {*wall.asked("**")} == {f"{ROOT}/{key}" for key in ("job", "run/b", "team/0")}
 
 
-def test_curves_are_drawn_once_in_a_while_however_many_ask() -> None:
-    wall = Wall()
-    before = wall.asked("curve/*")
-    wall.points = [CurvePoint(1, 1, 1, 1, 1)]
-    assert wall.asked("curve/a") == before
-    wall.now += CURVE_SECONDS
-    assert wall.asked("curve/a") == {f"{ROOT}/curve/a": to_json(GrowthCurve(run="a", points=wall.points))}
-
-
 def test_of_a_coordinator_that_stands_still_nothing_is_told() -> None:
     wall = Wall()
     wall.cache.set(f"{ROOT}/job", b"")
@@ -97,14 +76,6 @@ def test_of_a_coordinator_that_stands_still_nothing_is_told() -> None:
     wall.now += 0.1
     with pytest.raises(NoReply):
         wall.asked("job")
-
-
-def test_of_more_runs_than_are_published_at_once_each_has_its_turn(monkeypatch) -> None:
-    monkeypatch.setattr(status_publisher, "RUNS_AT_ONCE", 2)
-    publisher = StatusPublisher(None, SimpleNamespace(job=JOB))
-    turns = [publisher._in_turn(list("abcde")) for _ in range(5)]
-    assert ["".join(turn) for turn in turns] == ["ab", "cd", "ea", "bc", "de"]
-    assert publisher._in_turn(["a", "b"]) == ["a", "b"]
 
 
 KEYS = Keys(JOB)
@@ -164,25 +135,6 @@ def test_the_figures_of_the_job_are_the_sums_of_those_of_its_runs() -> None:
     assert (last.waiting, last.requeued, last.strays) == (0, 0, 0)
 
 
-def test_rows_that_no_recorder_has_confirmed_are_waiting() -> None:
-    job = Job({"run-0": LONG}, recorded=True)
-    waits: list[int] = []
-
-    def look(now: float) -> None:
-        waits.append(job.service.status(now).waiting)
-        if waits[-1] > 0:
-            job.stop.set(15)
-
-    opened = messages.encode(Opened(epoch=1, durable=[0], platform={}))
-    with (
-        job.network.session() as bus,
-        bus.answer(KEYS.open, lambda _query: opened),
-        FakeWorker(job.network.session(), ANN).at_work(),
-    ):
-        job.service.run(look)
-    assert waits[-1] > 0
-
-
 def test_what_happens_is_told_when_it_does() -> None:
     job = Job({"bad": None, "run-1": PLANS["run-1"]})
     heard = Heard(job.network.session())
@@ -200,14 +152,6 @@ def test_what_happens_is_told_when_it_does() -> None:
     assert len(given_up) == int((job.records["run-1"].rows["outcome"] == Outcome.ERROR).sum()) > 0
     numbers = [from_json(payload, JobEvent).number for payload in heard.of(KEYS.event())]
     assert numbers == list(range(1, len(numbers) + 1))
-
-
-def test_whose_work_a_coordinator_goes_on_with_is_told_when_its_turn_begins() -> None:
-    job = Job({"run-1": PLANS["run-1"]}, **{"run-1": IdentifiedSink})
-    with job.network.session() as bus, bus.ring(KEYS.meta, 8) as ring:
-        job.carry_out()
-        (told,) = [from_json(sample.payload, JobMeta) for sample in ring.take()]
-    assert (told.job, told.epoch, told.identity) == (JOB, 2, "mine")
 
 
 def test_that_trouble_came_and_went_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,28 +186,6 @@ def test_those_who_come_late_hear_what_happened_and_how_counts_grew() -> None:
     assert first.successes >= first.robust
 
 
-def test_late_comers_are_answered_while_the_coordinator_has_no_time() -> None:
-    job = Job({"run-0": LONG})
-    answers: dict[str, bytes] = {}
-
-    def ask(now: float) -> None:  # in the coordinator's one thread
-        with job.network.session() as bus:
-            answers.update(bus.ask_all("qdgrasp/v1/*/stat/**") | bus.ask_all(KEYS.stat("curve/*")))
-        if {KEYS.stat("run/run-0"), KEYS.stat("curve/run-0")} <= {*answers}:
-            job.stop.set(15)
-
-    with FakeWorker(job.network.session(), ANN).at_work():
-        job.service.run(ask)
-    assert {KEYS.stat("job"), KEYS.stat("team/0")} <= {*answers}
-
-
-def test_a_run_that_is_over_is_not_shown_to_late_comers() -> None:
-    job = Job({"run-1": PLANS["run-1"], "run-0": LONG})
-    with job.serving(), job.network.session() as bus, FakeWorker(job.network.session(), ANN).at_work():
-        wait_for(lambda: any(from_json(told, JobStatus).runs_done for told in asked(bus, "job").values()))
-        wait_for(lambda: [*asked(bus, "run/*")] == [KEYS.stat("run/run-0")])
-
-
 def test_a_worker_that_dies_is_shown_as_gone() -> None:
     job = Job({"run-0": LONG})
     heard = Heard(job.network.session())
@@ -291,65 +213,3 @@ def curve(bus: Bus, run: str) -> GrowthCurve:
 def curve_of(values: dict[str, bytes], run: str) -> GrowthCurve:
     payload = values.get(KEYS.stat(f"curve/{run}"))
     return from_json(payload, GrowthCurve) if payload else GrowthCurve(run=run, points=[])
-
-
-def test_nobody_needs_to_have_listened_to_hear_what_happened_last() -> None:
-    chronicle = EventLog()
-    for number in range(EVENTS_KEPT + 50):
-        chronicle.note("job", f"{number}")
-    latest = chronicle.latest.events
-    assert (len(latest), latest[0].words, latest[-1].number) == (EVENTS_KEPT, "50", EVENTS_KEPT + 50)
-
-
-class Clock(Inbox):
-    """An inbox whose waiting is all the time that passes, and what happens when.
-
-    Until the first run is open, which takes another thread some time, none does.
-    """
-
-    def __init__(self, now: float) -> None:
-        super().__init__()
-        self.now = self.began = now
-        self.happens: list[tuple[float, Callable[[], object]]] = []
-        self.is_running: Callable[[], bool] = lambda: False
-
-    def take(self, patience: float, most: int = 256) -> list[InboxEvent]:
-        if not self.is_running():
-            return super().take(min(patience, 0.01), most)
-        events = super().take(0.0, most)
-        if events:
-            return events
-        self.now += patience
-        if self.happens and self.happens[0][0] <= self.now - self.began:
-            after, act = self.happens.pop(0)
-            self.now = self.began + after
-            act()
-        return super().take(0.0, most)
-
-
-@pytest.mark.parametrize("tenth", range(10))
-def test_a_worker_whose_token_vanishes_is_shown_as_gone_within_half_a_second(tenth, monkeypatch) -> None:
-    """Whenever that is in the second between two publications of the workers."""
-    clock, lost_after = Clock(now=1000.0), 5.0 + tenth / 10
-    monkeypatch.setattr(coordinator_service, "Inbox", lambda: clock)
-    monkeypatch.setattr(coordinator_service, "time", SimpleNamespace(monotonic=lambda: clock.now))
-    job = Job({"run-0": LONG})
-    states: list[tuple[float, list[str]]] = []
-
-    def heard(sample: Sample) -> None:
-        page = from_json(sample.payload, WorkersPage)
-        states.append((clock.now - clock.began, [one.state for one in page.workers]))
-        if states[-1][1] == ["gone"]:
-            job.stop.set(15)
-
-    with ExitStack() as stack, job.network.session() as monitor, job.network.session() as worker:
-        stack.enter_context(monitor.subscribe(KEYS.stat("team/*"), heard))
-        clock.is_running = lambda: bool(job.open and job.open[-1])
-        clock.happens = [
-            (0.0, lambda: stack.enter_context(worker.token(KEYS.worker_token(ANN)))),
-            (0.1, lambda: clock.put(JoinRequest(join_message(ANN)))),
-            (lost_after, worker.close),
-        ]
-        job.service.run(lambda now: job.open.append(job.service.status(now).runs_open))
-    assert ["working"] in [shown for at, shown in states if at < lost_after]
-    assert states[-1][0] - lost_after <= STATUS_INTERVAL + 1e-9
