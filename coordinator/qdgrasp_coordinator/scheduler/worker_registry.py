@@ -201,31 +201,17 @@ class LeaseTimeout:
 
     def __init__(self) -> None:
         self._turnarounds: deque[float] = deque(maxlen=TURNAROUNDS_KEPT)
-        self._limit: float | None = LEASE_SECONDS
-        self._straggling: float | None = FIRST_STRAGGLER_SECONDS
+        self.limit = LEASE_SECONDS
+        """max(10 s, 10 x the 95th percentile of turnarounds) (docs/bus.md, rule 4)."""
+        self.straggling = FIRST_STRAGGLER_SECONDS
+        """Age [s] after which a lease is a straggler's: max(0.25 s, 3 x the median turnaround)."""
 
     def measure(self, seconds: float) -> None:
         """Record the time from lease to result of a batch [s]."""
         self._turnarounds.append(seconds)
-        self._limit = self._straggling = None
-
-    @property
-    def limit(self) -> float:
-        """max(10 s, 10 x the 95th percentile of turnarounds) (docs/bus.md, rule 4)."""
-        if self._limit is None and LEASE_TURNAROUNDS * max(self._turnarounds) <= LEASE_SECONDS:
-            self._limit = LEASE_SECONDS
-        if self._limit is None:
-            ordered = sorted(self._turnarounds)
-            self._limit = max(LEASE_SECONDS, LEASE_TURNAROUNDS * ordered[ceil(0.95 * len(ordered)) - 1])
-        return self._limit
-
-    @property
-    def straggling(self) -> float:
-        """Age [s] after which a lease is a straggler's: max(0.25 s, 3 x the median turnaround)."""
-        if self._straggling is None:
-            typical = sorted(self._turnarounds)[len(self._turnarounds) // 2]
-            self._straggling = max(STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS * typical)
-        return self._straggling
+        ordered = sorted(self._turnarounds)
+        self.limit = max(LEASE_SECONDS, LEASE_TURNAROUNDS * ordered[ceil(0.95 * len(ordered)) - 1])
+        self.straggling = max(STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS * ordered[len(ordered) // 2])
 
 
 JOINS_AHEAD, JOINS_PER_SECOND = 100, 20.0
