@@ -101,7 +101,7 @@ class SettleReply:
 
 
 class LeaseTable:
-    """What is leased and not settled, and what was settled lately."""
+    """Leased batches and builds that are not settled, and the latest settled ones."""
 
     def __init__(self, epoch: int) -> None:
         self._epoch = epoch
@@ -302,6 +302,7 @@ class Dispatcher:
         worker = self._workers.get(join.wid)
         if before is None or worker is None:
             return []
+        # The worker says what it still holds: messages of both sides may have been lost since it joined last.
         listed = list(dict.fromkeys(join.held))
         kept = {task_id: task for task_id in listed if (task := self._own(join.wid, task_id))}
         self.requeue(join.wid, [task_id for task_id in before if task_id not in kept])
@@ -423,7 +424,7 @@ class Dispatcher:
         return BuildReply(build.task.key, built.pieces, built.reason, built.cpu_seconds, superseded)
 
     def give_up_build(self) -> ShapeTask | None:
-        """Take back a build that no worker here is likely to do; None: there is none.
+        """Take one build back that no worker here is likely to do, if there is such a build.
 
         It was leased too often, or of the workers that are well none has the code for it.
         """

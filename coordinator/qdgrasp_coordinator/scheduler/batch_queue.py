@@ -30,7 +30,7 @@ class RunRef:
 
 @dataclass(eq=False, kw_only=True)
 class Task:
-    """What a worker is leased: a batch of rows, or a build of a shape."""
+    """A batch of rows or a build of a shape, which is leased to a worker."""
 
     id: bytes
     """16 bytes: random ones of the epoch and a counter, not used again in the job."""

@@ -315,6 +315,7 @@ class Pipeline:
 
     def _advance(self) -> JournalSlice:
         """Make final the rows without a gap; tell and ask where a generation is complete."""
+        # Rows arrive in any order; only those without a gap before them count, end the run, or are told.
         first, errors = self.tally.rows, self.tally.errors
         pieces: list[Rows] = []
         while self.finished is None and self._open[0].has_ready_row:
@@ -348,6 +349,8 @@ class Pipeline:
 
     def _prepare(self, told: int) -> None:
         """Ask for the generations that may be in flight now, unless the budget is sure to be spent."""
+        # The search is asked here alone, at a moment that depends on tells and not on time: genomes are
+        # then a function of the spec, however late rows come or workers fetch them.
         while len(self._open) < self._flight.after(told):
             needed = self.tally.left
             if self._overlaps == "count":

@@ -174,6 +174,7 @@ class Outbox:
         sent. A lower number may also have been overtaken by a higher one on its way, so it is believed only
         when nothing else was reported for `DOUBT_SECONDS`.
         """
+        # Lower numbers come late now and then; for seconds alone they say that a disk was restored.
         if number < self.confirmed or number > self._end:
             if self._lower_since is None:
                 self._lower_since = now
