@@ -163,7 +163,7 @@ def _coordinates(blob: bytes) -> NDArray[np.float32]:
 
 
 def _has_convex_parts(text: bytes) -> bool:
-    """Return whether an OBJ text is of solids of finite vertices within reach; else also `ValueError`."""
+    """Return whether an OBJ text holds solids of finite vertices; may raise `ValueError`."""
     read = read_obj(text.decode("ascii"))
     used = np.concatenate([np.zeros(0, np.int64), *(group.ravel() for group in read.groups)])
     is_near = len(used) and (np.abs(read.vertices) <= FARTHEST).all()  # not true of nan

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.search.archive import ribs_archive
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.extras import check_packages
+from qdgrasp_protocol.errors import check_packages
 from qdgrasp_protocol.rows import Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted

@@ -84,7 +84,7 @@ class HelpCommand(TyperCommand):
         return with_version(super().get_params(ctx), ctx)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the sections in the order of their first options, and what the function adds to them."""
+        """Write the sections in the order of their first options, and the additions to them."""
         more: Sections = getattr(self.callback, "more_help", {})
         write_sections(formatter, option_sections(self, ctx) | more)
 

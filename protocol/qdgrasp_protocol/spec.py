@@ -344,7 +344,7 @@ def to_toml(spec: RunSpec) -> str:
 
 
 def key_texts() -> dict[str, str]:
-    """Return the help of each key that a person may type: the line below it, and the values that it takes."""
+    """Return the help of each key that a person may type: its text and its values."""
     (body,) = ast.parse(inspect.getsource(RunSpec)).body
     said = [
         str(node.value.value)

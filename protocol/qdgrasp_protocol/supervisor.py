@@ -1,4 +1,4 @@
-"""Supervisor of child processes: starts them, watches them, starts them again after a pause, stops them.
+"""Supervisor of child processes: starts, watches, restarts after a pause, and stops them.
 
 Used by the job on one machine, by a command's workers, and, for its restarts, by a worker with its simulator.
 A supervisor is a context manager: leaving it ends every process that is still there, by pid. Should this
@@ -132,7 +132,7 @@ class ChildProcess:
 
 
 class ProcessSupervisor:
-    """Child processes by name, each with a log file in `logs`; without a folder they use our output.
+    """Child processes by name, each with a log file in `logs`; None: they use our output.
 
     They may take `grace` seconds to stop. After `steady` seconds of life, deaths count anew.
     """

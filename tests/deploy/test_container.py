@@ -11,7 +11,7 @@ from packaging.requirements import Requirement
 from packaging.version import Version
 from tests.deploy.commands import DEPLOY
 
-from qdgrasp_protocol.extras import EXTRAS
+from qdgrasp_protocol.errors import EXTRAS
 from qdgrasp_worker.device import DEVICE_MODULE
 
 ROOT = DEPLOY.parent

@@ -12,7 +12,7 @@ from tests.coordinator.scenes import made_scene
 from tests.system.commands import Commands, end_of
 from typer.testing import CliRunner
 
-from qdgrasp_protocol.extras import EXTRAS, MissingPackage
+from qdgrasp_protocol.errors import EXTRAS, MissingPackage
 from qdgrasp_tools.cli.main import app
 
 ROOT = Path(__file__).parents[2]

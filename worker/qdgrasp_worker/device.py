@@ -2,7 +2,7 @@
 
 from typing import NamedTuple, Self
 
-from qdgrasp_protocol.extras import EXTRAS, check_packages
+from qdgrasp_protocol.errors import EXTRAS, check_packages
 
 DEVICE_MODULE = "qdgrasp_worker.engines.warp_worlds"
 MOST_WORLDS = 4096  # Most genomes of a generation

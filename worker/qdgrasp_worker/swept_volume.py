@@ -203,7 +203,7 @@ VOLUMES_KEPT = 64  # Swept volumes that a process keeps, the last ones used; 1 M
 
 @lru_cache(VOLUMES_KEPT)
 def measure_swept_volume(hand: HandGeometry, course: bytes) -> SweptVolume:
-    """Mark the way of a hand's fingers through the postures of a course (`HandGeometry.postures`)."""
+    """Mark the way of a hand's fingers through a course (`HandGeometry.postures`)."""
     links = hand.gripper.finger_links
     frames = hand.frames(hand.postures(course))
     voxels = VoxelGrid(*hand.box(links, frames), VOXEL_PITCH, np.uint16)

@@ -121,7 +121,7 @@ def urdf_path(path: Path, file: GripperFile) -> Path:
 
 
 def read_gripper_file(path: Path) -> GripperFile:
-    """Read a gripper's TOML alone; `AssetError` if it is not there, or not of the keys and kinds above."""
+    """Read a gripper's TOML alone; `AssetError` if it is absent or has other keys or kinds."""
     if why := path_problem(path):
         raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")
     try:

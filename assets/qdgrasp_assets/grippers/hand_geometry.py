@@ -96,7 +96,7 @@ class HandGeometry:
         return shape.link in self.gripper.finger_links
 
     def postures(self, course: bytes) -> Floats:
-        """Return the postures (n, j) [rad or m] in the bytes of a course, which can be a part of a key."""
+        """Return the postures (n, j) [rad or m] in the bytes of a course."""
         return np.frombuffer(course).reshape(-1, len(self._joints))
 
     def frames(self, postures: Floats) -> dict[str, Floats]:

@@ -38,7 +38,7 @@ def csv_text(rows: Iterable[Row], columns: Sequence[str] = ()) -> str:
 
 
 def read_csv(path: Path, needed: Sequence[str] = ()) -> list[dict[str, str]]:
-    """Read the rows of a CSV file, cells without spaces around them; blank lines are passed over.
+    """Read the rows of a CSV file, cells stripped of spaces; blank lines are skipped.
 
     Raises InputError for a file that cannot be read, that lacks a column that is `needed`, or with a line of
     more cells than its header.
@@ -62,7 +62,7 @@ def _parsed_rows(lines: Sequence[Sequence[str]], needed: Sequence[str]) -> list[
 
 
 def aligned_text(lines: Sequence[Sequence[str]], left: Iterable[int] = ()) -> str:
-    """Return lines of as many cells in columns for a terminal, to the right but for those in `left`."""
+    """Return lines of cells in columns for a terminal, right-aligned but for those in `left`."""
     widths, lefts = [max(map(len, column)) for column in zip(*lines, strict=True)], set(left)
     return "\n".join(
         "  ".join(

@@ -21,8 +21,7 @@ from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, s
 from qdgrasp_assets.mesh_check import MeshCheck, check_mesh
 from qdgrasp_coordinator.storage.tables import csv_text, read_csv
 from qdgrasp_protocol.build_messages import MeshPreparation
-from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes
-from qdgrasp_protocol.extras import check_packages
+from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes, check_packages
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import ObjectRecord, run_spec
 

@@ -22,8 +22,7 @@ from qdgrasp_coordinator.storage.outputs import CAMPAIGN, OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.errors import ImpossibleValue, InputError
-from qdgrasp_protocol.extras import EXTRAS, check_packages
+from qdgrasp_protocol.errors import EXTRAS, ImpossibleValue, InputError, check_packages
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import counted, parse_numbers, printable
 from qdgrasp_tools.campaign.campaign_folder import campaign_objects, campaign_summary

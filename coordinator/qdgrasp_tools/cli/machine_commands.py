@@ -1,4 +1,4 @@
-"""`qdgrasp doctor` and `security`: what a machine needs for runs, and certificates for jobs on many."""
+"""`qdgrasp doctor` and `security`: what a machine needs, and certificates for many."""
 
 import importlib.metadata
 import json

@@ -17,7 +17,6 @@ from qdgrasp_tools.cli import (
     job_commands,
     machine_commands,
     object_commands,
-    reference_commands,
     run_commands,
 )
 
@@ -72,7 +71,7 @@ PANELS: dict[str, dict[Callable[..., None] | typer.Typer, str]] = {
         run_commands.rerank: "Score the best grasps of a run again, in many trials.",
         inspection_commands.verify: "Evaluate recorded rows again, and compare bit for bit.",
         inspection_commands.digest: "Print one sha256 over the rows of a run.",
-        reference_commands.coverage: "Say how much of a reference set a run has found.",
+        campaign_commands.coverage: "Say how much of a reference set a run has found.",
         campaign_commands.analyse: "Draw and tabulate what a campaign found.",
     },
 }

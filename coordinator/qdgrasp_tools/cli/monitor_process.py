@@ -16,8 +16,7 @@ from rich.console import Console
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.cli_support import echo, run_command
-from qdgrasp_protocol.errors import InputError, UnknownName
-from qdgrasp_protocol.extras import EXTRAS, check_packages
+from qdgrasp_protocol.errors import EXTRAS, InputError, UnknownName, check_packages
 from qdgrasp_protocol.process import Stop, configure_logging, lifetime
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus

@@ -1,4 +1,4 @@
-"""Options that several commands share; those of a run's spec take type and text from `RunSpec`."""
+"""Options of several commands; those of a spec take type and text from `RunSpec`."""
 
 import functools
 import inspect
@@ -88,7 +88,7 @@ def _flag(key: str) -> Any:
 
 
 def spec_values(flags: dict[str, Any], sets: Collection[str]) -> dict[str, Any]:
-    """Return the values by key of a spec that flags give; raises InputError for a key not of `sets`."""
+    """Return the spec values that flags give, by key; InputError for a key not in `sets`."""
     values: dict[str, Any] = {}
     for word in flags.pop("set", ()):
         key, _, text = word.partition("=")

@@ -29,7 +29,7 @@ def recorder(
     wait: cli_support.WaitOption = 30.0,
     version: cli_support.VersionOption = False,
 ) -> None:
-    """Write what a job finds to its folder, and report to its coordinator what is safe on the disk.
+    """Write what a job finds to its folder, and report what is safe on the disk.
 
     A single run's records lie in the folder itself, those of a campaign's runs in DIR/runs/RUN. The folder
     must not be on a network file system. One recorder at a time writes in it.

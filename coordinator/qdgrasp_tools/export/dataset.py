@@ -23,8 +23,7 @@ from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.tables import csv_text
 from qdgrasp_protocol.engines import DEFAULT_ENGINE, ENGINES
-from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName
-from qdgrasp_protocol.extras import check_packages
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName, check_packages
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_protocol.text import counted

@@ -8,8 +8,7 @@ from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import InputError, UnknownName
-from qdgrasp_protocol.extras import check_packages
+from qdgrasp_protocol.errors import InputError, UnknownName, check_packages
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.export import jaw_files, tabular, yaml_files
 from qdgrasp_tools.export.frames import Frame, frame_of

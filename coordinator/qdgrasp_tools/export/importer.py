@@ -19,8 +19,7 @@ from qdgrasp_assets.geometry.rotation import Floats, conjugate
 from qdgrasp_assets.object_model import read_solid
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.storage.outputs import OutFile
-from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.extras import check_packages
+from qdgrasp_protocol.errors import InputError, check_packages
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import first_few

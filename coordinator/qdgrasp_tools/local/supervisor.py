@@ -18,8 +18,7 @@ from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE, check_engine
-from qdgrasp_protocol.errors import EndpointError, InputError, MessageError
-from qdgrasp_protocol.extras import EXTRAS, check_packages
+from qdgrasp_protocol.errors import EXTRAS, EndpointError, InputError, MessageError, check_packages
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints

@@ -1,4 +1,4 @@
-"""Models of jobs and runs, built by a monitor from the messages it receives, and the views of them.
+"""Models of jobs and runs, built by a monitor from messages, and the views of them.
 
 Counts of a job and its runs do not fall where another coordinator goes on with them. The models use no
 clock, bus or thread: time is passed in, in seconds since 1970, and queries that are due are returned.

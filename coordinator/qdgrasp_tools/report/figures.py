@@ -1,4 +1,4 @@
-"""Draws the paper's figures of results: curves of methods, distributions of nu, success cells."""
+"""Draws the paper's figures: curves of methods, distributions of nu, success cells."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -228,7 +228,7 @@ class RunVoxels:
 
     @property
     def words(self) -> str:
-        """How many cells it has, and how robust they are."""
+        """Caption: the number of cells, and their robustness."""
         found = counted(len(self.best), "cell", told="{:,}".format)
         if self.eta is None:
             return f"{found}, {int((survival(self.best) == ROBUST).sum()):,} robust"

@@ -64,7 +64,7 @@ class CampaignReport:
 
     @property
     def table(self) -> str:
-        """What each method reached on each scene after as many evaluations, with intervals."""
+        """Results of each method on each scene after as many evaluations, with intervals."""
         head = ("scene", "method", "runs", "evaluations", "measure", "mean", "95% interval")
         return aligned_text([head, *(line for one in self.panels for line in _lines(one))], range(2))
 
@@ -129,7 +129,7 @@ def write_report(
 def _figures(
     begun: Sequence[RunGroup], methods: Sequence[str], objects: Sequence[str]
 ) -> dict[str, FigureGrid | str]:
-    """Draw each figure of the paper; returns the reason in place of one that has nothing to show."""
+    """Draw each figure of the paper; returns the reason where one has nothing to show."""
     searched = {group.scene for group in begun if family_of(group.method) != "rand"}
     compared = hand_panels([group for group in begun if group.method in COMPARED_METHODS])
     variants = hand_panels([group for group in begun if group.scene in searched])

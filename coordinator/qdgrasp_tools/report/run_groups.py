@@ -153,7 +153,7 @@ def _settings(spec: RunSpec) -> dict[str, Any]:
 
 
 def grouped_by(groups: Iterable[RunGroup], *, by_object: bool) -> dict[SceneName, list[RunGroup]]:
-    """Sort groups by scene, or by hand and protocol alone; in the order of their first occurrence."""
+    """Sort groups by scene, or by hand and protocol alone, in order of first occurrence."""
     found: dict[SceneName, list[RunGroup]] = {}
     for group in groups:
         scene = group.scene if by_object else SceneName(group.scene.gripper, "", group.scene.protocol)
@@ -271,7 +271,7 @@ def _panel(scene: SceneName, arms: dict[tuple[str, str], list[Sample]]) -> Curve
 
 
 def _curve(panel: CurvePanel, method: str, variant: str, samples: Sequence[Sample]) -> QuartileCurve:
-    """Make a curve at `CURVE_STEPS` equal steps; of fewer samples beyond the end of the shortest."""
+    """Make a curve at `CURVE_STEPS` equal steps; fewer samples after the shortest ended."""
     begun = tuple(sample for sample in samples if sample_end(sample))
     ends = np.array([sample_end(sample) for sample in begun], dtype=np.int64)
     even = np.linspace(0, ends.max(initial=0), CURVE_STEPS + 1).round().astype(np.int64)

@@ -1,4 +1,4 @@
-"""Filters of poses that are not simulated: hands inside the object, and hands below the table.
+"""Filters of poses not to simulate: hands inside the object, and hands below the table.
 
 Overlap: points on and in the collision shapes of the open hand, the first of them wide apart, are looked up
 in voxels that are wholly inside the object. A point of both bodies proves an overlap, so that no pose is

@@ -147,7 +147,7 @@ def _module_from_file(path: Path) -> ModuleType:
 
 
 def custom_platform(what: str, file: Path) -> dict[str, str]:
-    """All that decides the bits of results: the evaluator's file, and the number of the decoding code."""
+    """All that decides the bits of results: the evaluator's file and the decoding code."""
     return {name: version(name) for name in ("qdgrasp", "numpy", "scipy")} | {
         "machine": machine.machine(),
         "evaluation": str(EVALUATION),

@@ -1,4 +1,4 @@
-"""HTTP server of a page that is only read: open on this machine, with a token from elsewhere."""
+"""HTTP server of a read-only page: open on this machine, with a token from elsewhere."""
 
 import asyncio
 import hmac
