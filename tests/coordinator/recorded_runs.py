@@ -12,7 +12,7 @@ from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.rows import COLUMNS, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 SHAPE = RowShape(genes=2, joints=2)
@@ -30,6 +30,18 @@ def random_rows(n: int, seed: int = 0, reach: float = 0.1) -> Rows:
     rows["descriptor"] = rows["base_to_object"][:, :3]
     rows["nu"], rows["surface_point"] = random.uniform(0, np.pi, n), 0.01
     return rows
+
+
+def reshape_rows(rows: Rows, shape: RowShape) -> Rows:
+    """Return the rows in a shape that is wider, zeros behind genes and descriptors, or narrower."""
+    if rows.dtype == shape.dtype:
+        return rows
+    made = shape.empty(len(rows))
+    for column in COLUMNS:
+        source, target = rows[column.name], made[column.name]
+        common = tuple(map(slice, np.minimum(source.shape, target.shape)))
+        target[common] = source[common]
+    return made
 
 
 def spoil_block(journal: Path, first: int) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
-from qdgrasp_protocol.rows import COLUMNS, Rows, RowShape
+from qdgrasp_protocol.rows import Rows
 
 
 def read_arrays(path: Path, what: str) -> dict[str, NDArray[np.generic]]:
@@ -78,18 +78,6 @@ def join_rows(parts: Sequence[Rows]) -> Rows:
     if len(parts) == 1:
         return parts[0]
     return np.concatenate([row_bytes(part) for part in parts]).view(parts[0].dtype)
-
-
-def reshape_rows(rows: Rows, shape: RowShape) -> Rows:
-    """Return the rows in a shape that is wider, zeros behind genes and descriptors, or narrower."""
-    if rows.dtype == shape.dtype:
-        return rows
-    made = shape.empty(len(rows))
-    for column in COLUMNS:
-        source, target = rows[column.name], made[column.name]
-        common = tuple(map(slice, np.minimum(source.shape, target.shape)))
-        target[common] = source[common]
-    return made
 
 
 @cache

@@ -18,13 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Bundle, Scene
-from qdgrasp_coordinator.metrics.arrays import reshape_rows
-from qdgrasp_coordinator.scheduler.run_plan import row_shape
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenance
-from qdgrasp_protocol.errors import FolderError, InputError, QdgraspError
+from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.replay_messages import (
     ANSWER,
@@ -35,27 +33,10 @@ from qdgrasp_protocol.replay_messages import (
     ReplayPart,
     ReplayRequest,
 )
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.supervisor import ProcessExit, ProcessSupervisor
 from qdgrasp_tools.local.restart_policy import GRACE
 from qdgrasp_tools.report.row_report import row_at
-
-
-def in_own_shape(rows: Rows, folder: RunFolder, found_by: Provenance, scene: Scene) -> Rows:
-    """Return rows of a folder in the shape that a worker evaluates them in.
-
-    Raises FolderError if they are of a version with fewer genes, joints or descriptors.
-    """
-    prior = prior_of(found_by.spec)
-    shape = row_shape(scene, prior)
-    for column, words in (("genome", "genes"), ("joints", "joints"), ("descriptor", "descriptors")):
-        has, needed = rows.dtype[column].shape[0], shape.dtype[column].shape[0]
-        if has < needed:
-            raise FolderError(
-                f"{folder.path} has rows of {has} {words} where this version of qdgrasp has {needed} for "
-                f"the prior '{prior}': use the version that recorded them."
-            )
-    return reshape_rows(rows, shape)
 
 
 @dataclass(frozen=True)
@@ -123,8 +104,7 @@ def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> R
             reason = journal.errors().get(number, "why is not recorded")
             raise NoPose(number, Outcome(row["outcome"]), reason)
     scene = folder.scene()
-    (own,) = in_own_shape(row.reshape(1), folder, found_by, scene)
-    return ReplayTarget(number, own, found_by, scene, folder.bundle())
+    return ReplayTarget(number, row, found_by, scene, folder.bundle())
 
 
 def _trial_of(

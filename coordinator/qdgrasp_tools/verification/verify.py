@@ -46,7 +46,6 @@ from qdgrasp_tools.verification.comparison import (
     VerificationReport,
     row_differences,
 )
-from qdgrasp_tools.verification.replay_client import in_own_shape
 
 RowKinds = NDArray[np.unsignedinteger]
 
@@ -79,7 +78,7 @@ class RowSelection:
     """(n,): of the rows in the folder's journal, ascending."""
 
     def rows(self) -> Rows:
-        """Read the rows as they are recorded, in the shape of their own run."""
+        """Read the rows as they are recorded."""
         first, stop = int(self.numbers[0]), int(self.numbers[-1]) + 1
         with self.folder.journal() as journal:
             parts, begin = [], first
@@ -87,7 +86,7 @@ class RowSelection:
                 here = self.numbers[(self.numbers >= begin) & (self.numbers < begin + len(rows))]
                 parts.append(rows[here - begin])
                 begin += len(rows)
-        return in_own_shape(np.concatenate(parts), self.folder, self.found_by, self.folder.scene())
+        return np.concatenate(parts)
 
 
 VERIFICATION_JOB = "verify"

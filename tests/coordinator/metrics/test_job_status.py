@@ -1,17 +1,13 @@
 """Published status, as it travels."""
 
-import re
-from pathlib import Path
-
 import pytest
-from msgspec import Struct, json, to_builtins
+from msgspec import json, to_builtins
 from msgspec.structs import replace
 from tests.tools.monitor.sample_jobs import event, figures, run, team, worker
 
 from qdgrasp_coordinator.metrics import job_status
-from qdgrasp_coordinator.storage.success_pages import SUCCESS_COLUMNS
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Heartbeat, SuccessPage
+from qdgrasp_protocol.messages import Heartbeat
 
 
 @pytest.mark.parametrize(
@@ -110,30 +106,3 @@ def test_what_is_no_json_is_refused() -> None:
     for payload in (b"", b"\xff", b"[" * 100_000, b'{"job": 1}', b'{"rate": NaN}'):
         with pytest.raises(MessageError, match="not figures"):
             job_status.from_json(payload, job_status.JobStatus)
-
-
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "bus.md").read_text()
-STRUCTS = [kind for kind in vars(job_status).values() if isinstance(kind, type) and issubclass(kind, Struct)]
-SHOWN = [kind for kind in STRUCTS if ".metrics." in kind.__module__] + [SuccessPage, Heartbeat]
-
-
-def own(kind: type[Struct]) -> list[str]:
-    """The fields that a struct does not have from another one."""
-    inherited = getattr(kind.__base__, "__struct_fields__", ())
-    return [name for name in kind.__struct_fields__ if name not in inherited]
-
-
-@pytest.mark.parametrize("kind", SHOWN)
-def test_the_page_says_of_each_figure_what_the_source_does(kind: type[Struct]) -> None:
-    section = PAGE.partition(f"### `{kind.__name__}`\n")[2].partition("\n###")[0]
-    described = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", section, re.MULTILINE))
-    assert described == {name: job_status.meanings(kind)[name] for name in own(kind)}
-
-
-def test_the_page_has_no_other_figures() -> None:
-    assert set(re.findall(r"^### `(\w+)`$", PAGE, re.MULTILINE)) == {kind.__name__ for kind in SHOWN}
-
-
-def test_the_page_names_every_column_of_finds() -> None:
-    described = re.findall(r"^- `(\w+)`, (\S+) x (\w+): (.*)$", PAGE, re.MULTILINE)
-    assert described == [(one.name, one.item, one.width, one.meaning) for one in SUCCESS_COLUMNS]

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from tests.common import with_gripper
-from tests.coordinator.recorded_runs import record
+from tests.coordinator.recorded_runs import record, reshape_rows
 from tests.coordinator.scenes import JAW, made_scene
 
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
-from qdgrasp_coordinator.metrics.arrays import reshape_rows
 from qdgrasp_coordinator.metrics.niches import synergies
 from qdgrasp_coordinator.search.fixed_poses import postures
 from qdgrasp_coordinator.storage.run_folder import RunFolder

@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.recorded_runs import random_rows, record, reshape_rows
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.metrics.arrays import reshape_rows
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue
 from qdgrasp_coordinator.storage.engine_table import read_table
@@ -78,7 +77,7 @@ def folders(tmp_path: Path) -> list[RunFolder]:
 
 def own(rows: Rows) -> Rows:
     """Rows as wide as those of a run with the default method."""
-    return reshape_rows(rows, RowShape(genes=15, joints=2, descriptors=9))
+    return reshape_rows(rows, RowShape(genes=36, joints=2, descriptors=9))
 
 
 def rows_of(folder: RunFolder) -> Rows:
@@ -144,16 +143,6 @@ def test_a_lot_has_its_rows_as_they_are_recorded(folders: list[RunFolder]) -> No
         assert lot.rows().tobytes() == rows_of(lot.folder)[lot.numbers].tobytes()
 
 
-def test_rows_of_a_version_with_other_genes_are_refused(tmp_path: Path) -> None:
-    (lot,) = choose_rows([record(tmp_path / "old", made_scene(), random_rows(N))], 10, 0)
-    with pytest.raises(FolderError) as refused:
-        lot.rows()
-    assert str(refused.value) == (
-        f"{tmp_path / 'old'} has rows of 2 genes where this version of qdgrasp has 15 for the prior 'aimed': "
-        "use the version that recorded them."
-    )
-
-
 def test_nothing_to_choose_from_is_refused(tmp_path: Path) -> None:
     empty = record(tmp_path / "empty", made_scene(), random_rows(0))
     with pytest.raises(InputError, match="Nothing is recorded there"):
@@ -173,7 +162,7 @@ def test_lots_are_the_runs_of_a_job_one_after_the_other(folders: list[RunFolder]
     again, second = lots.next(), lots.next()
     assert second is not None
     assert (again.run, lots.next()) == (first.run, None)
-    assert first.prior == "aimed"
+    assert first.prior == "valued"
 
 
 def test_the_runs_of_a_campaign_are_looked_for_in_its_folder(folders, tmp_path) -> None:
