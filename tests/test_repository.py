@@ -7,11 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import typer
-
-from qdgrasp_coordinator.search.registry import METHODS
-from qdgrasp_protocol.rows import COLUMNS, Outcome
-from qdgrasp_tools.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPERS = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]
@@ -58,43 +53,6 @@ def test_every_package_that_tests_or_the_site_need_stands_in_the_notices(extra: 
     names = {re.split(r"[<>=!~ \[;]", requirement)[0] for requirement in needed} - {"qdgrasp"}
     noticed = read("THIRD_PARTY_NOTICES.md").partition(f"## Packages {heading}")[2].partition("\n## ")[0]
     assert {name for name in names if not re.search(rf"\b{re.escape(name)} \(", noticed)} == set()
-
-
-def test_the_readme_shows_commands_that_exist() -> None:
-    commands = set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
-    shown = set(re.findall(r"^qdgrasp (\w+)", read("README.md"), re.MULTILINE))
-    assert len(shown) >= 7
-    assert shown <= commands
-
-
-def test_the_page_of_commands_shows_all_of_them() -> None:
-    commands = set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
-    page = read("docs/commands.md")
-    assert {name for name in commands if not re.search(rf"\b{name}\b", page)} == set()
-
-
-def test_the_page_of_methods_shows_all_of_them() -> None:
-    table = read("docs/methods.md").partition("| search |")[2].partition("\n\n")[0]
-    assert set(re.findall(r"`(\w+_\w+)`", table)) == {name for name in METHODS if "_" in name}
-
-
-def test_the_outcomes_are_numbered_as_described() -> None:
-    rows = re.findall(
-        r"^\| `(\w+)`[^|]*\| (\d) \| (\w*) ?\| (\w*) ?\| (\w*) ?\| (\w*) ?\|", read("docs/protocols.md"), re.M
-    )
-    described = {name: (int(number), *(word == "yes" for word in words)) for name, number, *words in rows}
-    assert described == {
-        outcome.name: (outcome, outcome.is_simulated, outcome.is_success, outcome.is_grasp, outcome.is_robust)
-        for outcome in Outcome
-    }
-
-
-def test_the_columns_of_a_row_are_described_in_their_order() -> None:
-    table = read("docs/run-folder.md").partition("## A row")[2].partition("\n\nThe ")[0]
-    cells = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
-    assert [name for cell in cells for name in re.findall(r"`(\w+)`", cell)] == [
-        column.name for column in COLUMNS
-    ]
 
 
 def test_the_citation_names_the_version_of_the_package() -> None:

@@ -115,7 +115,6 @@ ELSEWHERE = {
     r"ssh ": "needs another machine",
     r"qdgrasp run .*--warm-start": "needs runs of some hundred evaluations; it has tests of its own",
     r"qdgrasp asset fetch": "fetches gigabytes from the network; it has tests with a server of their own",
-    r"qdgrasp campaign deploy/campaigns/paper(-medium)?\.toml(?! --list)": "takes days",
 }
 """Lines that are not run, by their beginning, with the reason; ours are parsed all the same."""
 if not (PUBLIC_HANDS / "leap_hand").is_dir():

@@ -248,7 +248,7 @@ def rerank(
 
     Example: qdgrasp rerank runs/demo --top 50 --discard-table --object-pose 90,0,0
 
-    Example: qdgrasp rerank runs/demo --engines bullet,mujoco --base physical
+    Example: qdgrasp rerank runs/demo --engine bullet,mujoco --base physical
     """
     if protocol not in TRIAL_COUNTS:
         raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)
