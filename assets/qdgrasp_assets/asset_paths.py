@@ -7,7 +7,7 @@ import stat
 import tempfile
 from pathlib import Path
 
-from qdgrasp_protocol.errors import NoDataFolder
+from qdgrasp_protocol.errors import UnreadableHere
 
 ASSET_PATH = "QDGRASP_ASSET_PATH"
 CACHE = "QDGRASP_CACHE"
@@ -96,5 +96,5 @@ def _own_folder(variable: str, xdg: str, default: str) -> Path:
     own = os.environ.get(variable)
     folder = named_path(own) if own else named_path(os.environ.get(xdg) or default) / "qdgrasp"
     if str(folder).startswith("~"):
-        raise NoDataFolder(folder, variable)
+        raise UnreadableHere(f"There is no home folder for '{folder}': set {variable} to a folder.")
     return folder

@@ -36,7 +36,7 @@ def check_mesh(
 ) -> MeshCheck:
     """Check that an object can be made of a mesh file; the parameters are those of `read_draft`.
 
-    Bodies with air between them are a fault unless they are said to be glued. Raises NoDataFolder where there
+    Bodies with air between them are a fault unless they are said to be glued. Raises AssetError where there
     is no place for a cache, and no other error.
     """
     cache = cache_folder() / "checked"

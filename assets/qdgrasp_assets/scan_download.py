@@ -26,7 +26,7 @@ from qdgrasp_assets.ycb import (
     users_lock,
     write_pin,
 )
-from qdgrasp_protocol.errors import AssetError, UnknownName, WrongScan
+from qdgrasp_protocol.errors import AssetError, UnknownName
 
 LARGEST_MEMBER = 1 << 28  # bytes; the mesh of a scan has one or two megabytes
 LARGEST_WHOLE = 1 << 31
@@ -137,6 +137,10 @@ class FetchedScan:
         )
 
 
+class WrongScan(AssetError):
+    """Fetched data that is not the expected scan; it was deleted."""
+
+
 def fetch_scan(name: str, home: str, progress: Progress) -> FetchedScan:
     """Fetch one of `SCAN_NAMES` into the data folder; it is checked first, and written whole.
 
@@ -153,7 +157,7 @@ def fetch_scan(name: str, home: str, progress: Progress) -> FetchedScan:
         try:
             return _accept(name, scan, archive, known)
         except AssetError as error:
-            raise WrongScan(name, error) from None
+            raise WrongScan(f"The data fetched for '{name}' was thrown away: {error}") from None
         finally:
             archive.unlink(missing_ok=True)
     except OSError as error:

@@ -22,7 +22,7 @@ from qdgrasp_assets.asset_paths import write_whole
 from qdgrasp_assets.object_shape import ShapeStore, build_shape, pack_shape
 from qdgrasp_assets.process_limits import end_with_parent_only, limit_memory
 from qdgrasp_protocol.build_messages import ShapeTask
-from qdgrasp_protocol.errors import AssetError, LacksReader, NoDataFolder, QdgraspError
+from qdgrasp_protocol.errors import AssetError, QdgraspError, UnreadableHere
 
 PREPARING_SECONDS = 600  # CPU seconds that all but the convex parts may take; a minute is long
 UNUSABLE, FAILED = 2, 1
@@ -53,7 +53,7 @@ def main() -> int:
     try:
         payload = build(task, folder)
     except (QdgraspError, MemoryError) as error:
-        is_local = isinstance(error, LacksReader | NoDataFolder)
+        is_local = isinstance(error, UnreadableHere)
         is_final, sentence = isinstance(error, AssetError) and not is_local, str(error)
         # readers of meshes name it in an error of their own
         if isinstance(error, MemoryError) or MemoryError.__name__ in sentence:

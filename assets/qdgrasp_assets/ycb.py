@@ -21,7 +21,7 @@ from qdgrasp_assets.geometry.mesh import Mesh, read_parts
 from qdgrasp_assets.geometry.mesh_io import read_mesh
 from qdgrasp_assets.object_model import ObjectModel, read_solid
 from qdgrasp_assets.stand_ins import STAND_INS
-from qdgrasp_protocol.errors import AssetError, NoDataFolder
+from qdgrasp_protocol.errors import AssetError, UnreadableHere
 
 EXTENTS_TOLERANCE = 5e-5  # m; the table is rounded to 1e-5
 VOLUME_TOLERANCE = 1e-3  # share
@@ -172,7 +172,7 @@ def scan_source(name: str) -> str:
     """Return the source of a scan of `SCAN_NAMES`: "asset path", "fetched" or "absent"."""
     if _reference_folder(name) is not None:
         return "asset path"
-    with suppress(NoDataFolder):
+    with suppress(UnreadableHere):
         return "fetched" if fetched_mesh(name).is_file() else "absent"
     return "absent"
 

@@ -1,56 +1,7 @@
-"""Every error that qdgrasp raises on purpose; those of one module alone are made there.
+"""Errors of several modules; those of one module alone are made there.
 
-* QdgraspError
-    * InputError             bad input or environment: exit code 2
-        * UnknownName            a name that no table has
-        * UnknownKey             a key that no field of a spec has
-        * ImpossibleValue        a value outside what a field allows
-        * EndsTooSoon            a run that is to end before what is recorded of it
-        * JawNeeded              a prior for two-finger hands with another hand
-        * AssetError             a file, mesh, URDF or gripper that cannot be used
-            * LacksReader            a mesh whose format needs a package that is not installed
-            * NoDataFolder           a folder in a home that this machine does not have
-            * WrongScan              a fetched file is not the one expected
-            * UnusableMeshes         mesh files of which no objects can be made
-            * DecompositionTimeout   a mesh that is not decomposed in time
-            * DecompositionFailure   a mesh on which CoACD fails
-        * FolderError            a run folder that cannot be used
-            * NoFolder               a path where no folder is
-            * DiskFull               there is no room to write in it
-            * OutputError            a path where something cannot be written
-            * OtherRun               a journal in a folder whose other files are of another run
-        * NoSuchRow              a number that no row of a journal has
-        * NoSuchTrial            a trial that is not recorded of a row
-        * NoPose                 a row without a pose that could be shown
-        * UnreadableGrasps       a file that no grasps can be read from
-        * ReplayError            a journal that its own spec does not replay to
-        * RunFailed              a run of a job that cannot be carried out
-        * RunsFailed             runs of a job that could not be, when the others are
-        * EndpointError          an endpoint that cannot be listened on or reached
-            * NotListening           a router cannot listen there
-            * Unreachable            no router answers there
-        * SecurityError          certificates or keys that cannot be used
-        * MissingRequirement     something that a run needs is not on this machine
-        * MissingEngine          Bullet is to simulate where PyBullet is not installed
-        * MissingPackage         a package of an extra is needed where it is not installed
-    * BusError               the bus did not do what was asked
-        * Refused                the other side answered with a reason why not
-            * PlatformDiffers        a worker's platform is not the job's
-            * LacksEngine            a worker does not have the engine of a run
-            * RefusedByJob           the only job of a worker does not take it: exit code 2
-        * NoReply                no answer came
-        * Faulty                 the other side failed by a fault of its own
-    * MessageError           a message that is not of the protocol; counted and dropped
-        * TooLarge               a scene that is larger than one can be
-    * RecorderFellBack       a recorder that no longer has the rows it reported durable
-    * NoSimulator            a simulator that ends before it has evaluated the probes
-    * DeviceDiffers          a device on which the probes fare otherwise than in MuJoCo
-    * OtherPlatform          the package was changed while a worker ran
-    * ReplayFailed           the process that replays ended without an answer
-    * BadVerdict             a verdict that is not one on the hands that were given
-    * EndedEarly             the job stopped before its budget; `resume` goes on: exit code 1
-        * Cancelled              an admin told the coordinator to end: its exit code is 0
-        * TookOver               another coordinator goes on with it: exit code 3
+`QdgraspError` is the root of all. `InputError` is about what the user can correct, `BusError` and
+`MessageError` are about what other processes do.
 """
 
 import re
@@ -108,22 +59,8 @@ class AssetError(InputError):
     """A file, mesh, URDF or gripper that cannot be used."""
 
 
-class LacksReader(AssetError):
-    """A file that cannot be read here, as a package for its format is not installed."""
-
-
-class NoDataFolder(AssetError):
-    """A folder in a home that is not there; `variable` names another one."""
-
-    def __init__(self, folder: object, variable: str) -> None:
-        super().__init__(f"There is no home folder for '{folder}': set {variable} to a folder.")
-
-
-class WrongScan(AssetError):
-    """Fetched data that is not the expected scan; it was deleted."""
-
-    def __init__(self, name: str, reason: object) -> None:
-        super().__init__(f"The data fetched for '{name}' was thrown away: {reason}")
+class UnreadableHere(AssetError):
+    """A file that another machine may read: a package or a home folder is lacking on this one."""
 
 
 class UnusableMeshes(AssetError):
@@ -141,17 +78,6 @@ class FolderError(InputError):
     """A run folder that cannot be used."""
 
 
-class NoFolder(FolderError):
-    """A path that is no folder of a run or job; `is_there`: it is something else."""
-
-    def __init__(self, path: object, *, is_there: bool) -> None:
-        super().__init__(
-            f"{path} is no folder; name that of a run."
-            if is_there
-            else f"There is no folder {path}; `qdgrasp run --out {path}` would begin a run there."
-        )
-
-
 class DiskFull(FolderError):
     """No disk space to write in a run folder; earlier content is intact."""
 
@@ -166,22 +92,6 @@ class OutputError(FolderError):
     def __init__(self, path: object, why: str, instead: str = "", *, forces: bool = False) -> None:
         advice = ", or ".join([instead] * bool(instead) + ["replace it with --force"] * forces)
         super().__init__(f"{path} {why}{'; ' if advice else ''}{advice}.")
-
-
-class OtherRun(FolderError):
-    """A journal in a folder where a file is of another run; `of` and `than` tell them in words."""
-
-    def __init__(self, journal: object, file: object, of: str, than: str) -> None:
-        super().__init__(
-            f"{journal} is the journal of {of}, and {file} is of {than}: restore one of the two from a copy."
-        )
-
-
-class EndsTooSoon(InputError):
-    """A run that is to end before what is recorded of it."""
-
-    def __init__(self, folder: object, reason: ImpossibleValue) -> None:
-        super().__init__(f"{folder} cannot end as is asked: {reason}")
 
 
 class JawNeeded(InputError):

@@ -16,7 +16,7 @@ MEMORY = 1 << 29
 GREEDY = f"bytearray({2 * MEMORY})"
 READER = "(_ for _ in ()).throw(builder.AssetError('it cannot be read: MemoryError'))"
 SCARCE = "(_ for _ in ()).throw(MemoryError())\nbuilder.limit_memory = lambda _: False"
-LACKING = "(_ for _ in ()).throw(builder.LacksReader('a package is lacking'))"
+LACKING = "(_ for _ in ()).throw(builder.UnreadableHere('a package is lacking'))"
 BUSY = "sum(1 for _ in iter(int, 1))"
 REPLACED = """
 import sys, qdgrasp_assets.shape_builder as builder

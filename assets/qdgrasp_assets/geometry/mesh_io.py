@@ -13,7 +13,7 @@ import numpy as np
 
 from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, path_problem
 from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, LacksReader, UnknownName
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName, UnreadableHere
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}  # Metres to a unit
 WORDS = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
@@ -177,7 +177,7 @@ def _load_scene(path: Path) -> Any:
     kind = path.suffix.lower()
     if kind.removeprefix(".") not in mesh_formats():
         if packages := FORMAT_PACKAGES.get(kind):
-            raise LacksReader(
+            raise UnreadableHere(
                 f"The mesh '{path}' cannot be read: {kind} needs {packages}, which is not installed; "
                 f"`pip install {packages.replace(' and', '')}`, or export it as STL, OBJ, PLY or GLB."
             )

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter, OpenJournals
 from qdgrasp_coordinator.storage.platforms import platform_of
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import EndsTooSoon, ImpossibleValue
+from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -96,14 +96,14 @@ class RunWriter:
         self.journal.begin_epoch(epoch, time.time())
 
     def check_end(self, spec: RunSpec) -> None:
-        """Raise `EndsTooSoon` if the run, by this spec, ends before a row that is here or waits."""
+        """Raise `InputError` if the run, by this spec, ends before a row that is here or waits."""
         if spec == self.identity.spec:
             return
         try:
             rows = chain(self.journal.blocks(), (part.rows for part in self._waiting))
             count_rows(spec, rows).check_budget(spec)
         except ImpossibleValue as reason:
-            raise EndsTooSoon(self._folder.path, reason) from None
+            raise InputError(f"{self._folder.path} cannot end as is asked: {reason}") from None
 
     def add(self, rows: JournalSlice, epoch: int, now: float) -> Arrival:
         """Queue those of consecutive rows that are new for their commit."""

@@ -10,7 +10,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import IO, Any
 
-from qdgrasp_protocol.errors import DiskFull, FolderError, NoFolder, OutputError
+from qdgrasp_protocol.errors import DiskFull, FolderError, OutputError
 
 LONGEST = 200  # Longest part of a name that a temporary folder's name repeats [bytes]
 OLD = "old"  # In a temporary folder, the folder that is being replaced
@@ -70,11 +70,13 @@ def is_staging(path: Path, of: Path) -> bool:
 
 
 def check_folder(path: Path) -> None:
-    """Raise `NoFolder` unless there is a folder to read from."""
+    """Raise `FolderError` unless there is a folder to read from."""
     with suppress(OSError):
         if path.is_dir():
             return
-    raise NoFolder(path, is_there=os.path.lexists(path))
+    if os.path.lexists(path):
+        raise FolderError(f"{path} is no folder; name that of a run.")
+    raise FolderError(f"There is no folder {path}; `qdgrasp run --out {path}` would begin a run there.")
 
 
 def create_folder(

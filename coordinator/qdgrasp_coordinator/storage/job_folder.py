@@ -132,7 +132,7 @@ class JobFolder:
 
     @classmethod
     def open(cls, path: Path) -> "JobFolder":
-        """Return the folder of a job that was begun; raise `NoFolder` or `FolderError` without one."""
+        """Return the folder of a job that was begun; raise `FolderError` without one."""
         atomic_files.check_folder(path)
         if not cls.is_job(path):
             raise FolderError(f"{path} holds no run and no campaign: there is no {JOB} in it.")

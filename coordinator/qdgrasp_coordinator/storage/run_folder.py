@@ -27,7 +27,7 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
 from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE, SPEC, OutFolder
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.errors import FolderError, MessageError, OtherRun
+from qdgrasp_protocol.errors import FolderError, MessageError
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import GOAL_KEYS, RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
@@ -120,7 +120,7 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
-        """Return the folder of a run that was begun; raise `NoFolder` or `FolderError` without one."""
+        """Return the folder of a run that was begun; raise `FolderError` without one."""
         atomic_files.check_folder(path)
         if not cls.is_run(path):
             raise FolderError(_no_run_reason(path))
@@ -212,7 +212,7 @@ class RunFolder:
     def journal(self) -> Journal:
         """Return the journal as it is now, for a with-block; empty before a recorder opened the run.
 
-        Raises `FolderError` where it cannot be read, and `OtherRun` where it is of another run than the spec
+        Raises `FolderError` where it cannot be read, or is of another run than the spec
         or the scene here.
         """
         if (self.path / JOURNAL).exists():
@@ -232,17 +232,23 @@ class RunFolder:
         if journal.spec_text != atomic_files.read(self.path / SPEC).decode(errors="replace"):
             recorded, spec = journal.spec, self.spec
             if other := differences(recorded, spec):
-                raise OtherRun(
+                raise _other_run(
                     file, self.path / SPEC, _spec_in_words(recorded, other), _spec_in_words(spec, other)
                 )
         if self.has_bundle() and (digest := self.bundle().digest) != journal.scene:
             scene, spec = self.scene(), journal.spec
-            raise OtherRun(
+            raise _other_run(
                 file,
                 self.path / SCENE,
                 f"scene {journal.scene[:12]} ({spec.gripper} on {spec.object})",
                 f"scene {digest[:12]} ({scene.gripper.name} on {scene.object.name})",
             )
+
+
+def _other_run(journal: Path, file: Path, of: str, than: str) -> FolderError:
+    return FolderError(
+        f"{journal} is the journal of {of}, and {file} is of {than}: restore one of the two from a copy."
+    )
 
 
 def run_files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:

@@ -37,7 +37,6 @@ from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
 from qdgrasp_protocol.build_messages import join_payload
 from qdgrasp_protocol.errors import (
     DiskFull,
-    EndsTooSoon,
     FolderError,
     ImpossibleValue,
     InputError,
@@ -98,7 +97,7 @@ def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
     """Return the counts of the run that `spec` asks for.
 
     None: it has not begun, or its journal cannot be read; the recorder that opens it says why. Raises
-    FolderError or EndsTooSoon where the folder holds a run of another spec, or more evaluations than the
+    FolderError or InputError where the folder holds a run of another spec, or more evaluations than the
     budget.
     """
     if not RunFolder.is_run(path):
@@ -112,7 +111,7 @@ def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
                 found = count_rows(spec, journal.blocks())
                 found.check_budget(spec)
             except ImpossibleValue as reason:
-                raise EndsTooSoon(folder.path, reason) from None
+                raise InputError(f"{folder.path} cannot end as is asked: {reason}") from None
             return RunListing.of(journal.run, spec, journal.scene, found)
     except FolderError:
         return None
@@ -145,7 +144,7 @@ class CampaignRunQueue(RunQueue):
 
     Runs on a mesh file wait until its shape is built, unless it lies in the store of this machine or their
     folder has the scene; others go first. Without a `folder` nothing is known of recorded runs, and no
-    folders are made; `runs` are specs by name. Raises FolderError or EndsTooSoon if a run's folder holds
+    folders are made; `runs` are specs by name. Raises FolderError or InputError if a run's folder holds
     another run, or more evaluations than its budget.
     """
 
@@ -308,7 +307,7 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
     """Begin the campaign that is asked for at `path`, or check that it can go on there.
 
     `job` is the job's name for a new folder; None: the folder's name, reduced to the allowed characters.
-    Raises FolderError or EndsTooSoon, and leaves the folder as it was, if it holds a single run, another job,
+    Raises FolderError or InputError, and leaves the folder as it was, if it holds a single run, another job,
     other files, runs that are not asked for any more, or one that is asked for with another spec or with less
     than it has; or if it is in use.
     """

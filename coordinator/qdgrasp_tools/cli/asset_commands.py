@@ -21,10 +21,10 @@ from qdgrasp_assets.asset_report import AssetReport
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.object_shape import is_in_catalog
-from qdgrasp_assets.scan_download import YCB_HOME, YCB_TERMS, fetch_scan
+from qdgrasp_assets.scan_download import YCB_HOME, YCB_TERMS, WrongScan, fetch_scan
 from qdgrasp_coordinator.storage.outputs import OutFile, SharedFolder, is_drawn_here
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.errors import AssetError, InputError, WrongScan
+from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_tools.cli import options
 

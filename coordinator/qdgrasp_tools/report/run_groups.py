@@ -73,7 +73,7 @@ class RunGroup:
 def find_runs(path: Path) -> list[RunFolder]:
     """List the runs of searches in a campaign, in a folder of runs, or of one run; by name.
 
-    Runs that score given poses are passed over. Raises NoFolder or FolderError if there is no such folder, or
+    Runs that score given poses are passed over. Raises FolderError if there is no such folder, or
     no such run.
     """
     atomic_files.check_folder(path)

@@ -27,7 +27,7 @@ from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_mes
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
-from qdgrasp_protocol.errors import DiskFull, EndsTooSoon, FolderError, MessageError, Refused
+from qdgrasp_protocol.errors import DiskFull, FolderError, InputError, MessageError, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -116,7 +116,7 @@ class TestOpening:
             recorder.commit("a")
         before = content(path)
         with pytest.raises(
-            EndsTooSoon, match="runs/a cannot end as is asked: evaluations must be at least 30"
+            InputError, match="runs/a cannot end as is asked: evaluations must be at least 30"
         ):
             recorder.open(ask("b", "a", spec=sooner))
         assert content(path) == before

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, FINISHED, JOURNAL
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import EndsTooSoon, FolderError, ImpossibleValue
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.campaign_file import Campaign, make_campaign, read_campaign
@@ -156,7 +156,7 @@ def test_an_unfinished_run_is_not_in_the_index(tmp_path: Path) -> None:
 
 def test_a_run_that_is_to_end_before_what_is_recorded_is_named(run: RunFolder) -> None:
     words = f"cannot end as is asked: evaluations must be at least {N}, .* got {N - 1}"
-    with pytest.raises(EndsTooSoon, match=f"{re.escape(str(run.path))} {words}"):
+    with pytest.raises(InputError, match=f"{re.escape(str(run.path))} {words}"):
         finished_listing(run.path, msgspec.structs.replace(run.spec, evaluations=N - 1))
 
 
@@ -184,7 +184,7 @@ def test_larger_targets_and_caps_extend_the_runs_that_these_ended(grown: Path) -
     assert unfinished() == []
     assert unfinished(evaluations=2 * N) == ["panda-bowl-contact_rand-s0"]
     assert unfinished(grasps=25) == ["panda-mug-contact_rand-s0"]
-    with pytest.raises(EndsTooSoon, match="grasps must be at least 20, which are recorded, got 15"):
+    with pytest.raises(InputError, match="grasps must be at least 20, which are recorded, got 15"):
         unfinished(grasps=15)
 
 

@@ -12,7 +12,7 @@ from tests.tools.export.foreign_files import ISAAC
 from tests.tools.report.test_row_report import OUTCOMES, run_of
 from typer.testing import CliRunner, Result
 
-from qdgrasp_protocol.errors import NoFolder, OutputError
+from qdgrasp_protocol.errors import FolderError, OutputError
 from qdgrasp_tools.cli.main import app
 
 READERS = {
@@ -30,7 +30,7 @@ READERS = {
 
 def refusal(command: str, path: Path) -> str:
     error = CliRunner().invoke(app, [command, str(path), *READERS[command]]).exception
-    assert isinstance(error, NoFolder), (command, error)
+    assert isinstance(error, FolderError), (command, error)
     return str(error)
 
 
