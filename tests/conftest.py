@@ -12,7 +12,7 @@ from tests.coordinator.scenes import SceneMaker, made_scene
 from tests.fakes.recorder import FakeCoordinator
 from xdist.scheduler import LoadScopeScheduling
 
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 

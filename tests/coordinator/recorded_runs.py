@@ -8,8 +8,7 @@ import msgspec
 import numpy as np
 
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
-from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import COLUMNS, Outcome, Rows, RowShape

@@ -16,7 +16,7 @@ from tests.fakes.service_thread import ServiceThread
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.recorder.recorder_service import RecorderService
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_from_message, slice_to_message
+from qdgrasp_coordinator.storage.journal import JournalSlice, slice_from_message, slice_to_message
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import NoReply

@@ -22,7 +22,7 @@ from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.recorder.recorded_job import RunIdentity
 from qdgrasp_coordinator.scheduler.batch_dispatcher import read_result
 from qdgrasp_coordinator.storage import success_pages as found
-from qdgrasp_coordinator.storage.journal_slice import slice_from_message
+from qdgrasp_coordinator.storage.journal import slice_from_message
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Build, MeshFile, MeshPreparation, ShapeTask
 from qdgrasp_protocol.messages import Heartbeat, Message, deflated

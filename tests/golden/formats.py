@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from tests.tools.monitor.sample_jobs import event, run, values, views
 
 from qdgrasp_assets.scene import FORMAT as SCENE
-from qdgrasp_coordinator.storage.journal_schema import APPLICATION, FORMAT, JournalIdentity
+from qdgrasp_coordinator.storage.journal import APPLICATION, FORMAT, JournalIdentity
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol.messages import VERSION as PROTOCOL
 from qdgrasp_protocol.rows import COLUMNS, Outcome, RowShape

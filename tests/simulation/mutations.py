@@ -26,7 +26,7 @@ from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox
 from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, Worker, WorkerRegistry
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.runtime.job_registry import JobSession
 

@@ -15,8 +15,7 @@ from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.recorder_service import LONGEST_WAIT
 from qdgrasp_coordinator.recorder.run_writer import RunWriter
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
+from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice, join_slices
 from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.errors import DiskFull, NoReply, Refused
 from qdgrasp_protocol.messages import Recorded

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Self
 
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder
-from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal import JournalIdentity
 from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, Refused, TookOver

@@ -22,8 +22,7 @@ from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder, RunIdenti
 from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import RUN
-from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.journal_slice import slice_from_message, slice_to_message
+from qdgrasp_coordinator.storage.journal import Journal, slice_from_message, slice_to_message
 from qdgrasp_coordinator.storage.journal_writer import FirstEpoch, OpenJournals
 from qdgrasp_coordinator.storage.outputs import JOURNAL, SPEC, OutFolder
 from qdgrasp_coordinator.storage.platforms import platform_differences, platform_of

@@ -15,7 +15,7 @@ from types import MappingProxyType
 from qdgrasp_coordinator.metrics.job_status import RunListing
 from qdgrasp_coordinator.metrics.run_stats import RunCounter, count_rows
 from qdgrasp_coordinator.recorder.recorded_job import RunIdentity
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
+from qdgrasp_coordinator.storage.journal import JournalSlice, join_slices
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter, OpenJournals
 from qdgrasp_coordinator.storage.platforms import platform_of
 from qdgrasp_coordinator.storage.run_folder import RunFolder

@@ -17,7 +17,7 @@ from qdgrasp_coordinator.metrics.arrays import join_rows, row_bytes, take_rows
 from qdgrasp_coordinator.metrics.run_stats import BUDGET_ALONE, RunCounter
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_coordinator.search.base import SearchAlgorithm
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_protocol.errors import ReplayError
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from qdgrasp_coordinator.storage.journal_slice import (
+from qdgrasp_coordinator.storage.journal import (
     JournalSlice,
     join_slices,
     slice_from_message,

@@ -24,7 +24,7 @@ from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch, check_spec_poses
 from qdgrasp_coordinator.search.registry import check_spec, learns_value, method, prior_of
 from qdgrasp_coordinator.storage.job_folder import RUN
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.messages import Failure, OpenRun

@@ -3,7 +3,6 @@
 `qdgrasp verify --engine NAME` writes `engine-NAME.csv` into the run's folder.
 """
 
-import csv
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -14,12 +13,11 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.tables import Value, csv_text, read_csv
 from qdgrasp_protocol.engines import ENGINES, engine_names
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows
 
-TABLES = "engine-*.csv"
-"""The files of all tables of a run."""
 VERDICT = np.dtype([("outcome", "i1"), ("fitness", "<f4")])
 """A verdict; -1 and NaN where it is not known."""
 UNKNOWN = np.array((-1, np.nan), VERDICT)
@@ -30,6 +28,8 @@ TABLE = np.dtype(
     ]
 )
 """Row of a table: its number in the journal, its verdict as recorded, and that in the other engine."""
+
+COLUMNS = TABLE.names or ()
 
 EngineTable = NDArray[np.void]  # (n,) of `TABLE`, by row
 Verdicts = NDArray[np.void]  # (n,) of `VERDICT`
@@ -78,17 +78,10 @@ def write_table(
         before = read_table(path)
         made = np.concatenate([before[~np.isin(before["row"], numbers)], made])
         made = made[np.argsort(made["row"])]
-    OutFile(path, force=True).write(to_csv(made))
+    lines = [dict(zip(COLUMNS, map(_word, COLUMNS, line), strict=True)) for line in made.tolist()]
+    text = csv_text(lines, COLUMNS)
+    OutFile(path, force=True).write(text.encode())
     return path
-
-
-def to_csv(table: EngineTable) -> bytes:
-    """Return the bytes of a table's file."""
-    lines = [",".join(TABLE.names or ())]
-    for row, outcome, fitness, outcome_now, fitness_now in table.tolist():
-        words = (Outcome(outcome).name.lower(), int(fitness), Outcome(outcome_now).name.lower())
-        lines.append(",".join(map(str, (row, *words, int(fitness_now)))))
-    return ("\n".join(lines) + "\n").encode()
 
 
 def read_table(path: Path) -> EngineTable:
@@ -99,7 +92,7 @@ def read_table(path: Path) -> EngineTable:
     try:
         there = path.stat()
         return _read(path, there.st_mtime_ns, there.st_size)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, csv.Error) as error:
+    except (OSError, ValueError, KeyError, OverflowError, InputError) as error:
         raise InputError(
             f"{path} is no table that `qdgrasp verify --engine` wrote ({error}); remove it and write it anew."
         ) from None
@@ -107,19 +100,20 @@ def read_table(path: Path) -> EngineTable:
 
 @lru_cache(16)
 def _read(path: Path, _mtime: int, _size: int) -> EngineTable:
-    with path.open(encoding="utf-8", newline="") as file:
-        lines = [
-            (
-                int(line["row"]),
-                *(Outcome[line["outcome"].upper()], int(line["fitness"])),
-                *(Outcome[line["outcome_now"].upper()], int(line["fitness_now"])),
-            )
-            for line in csv.DictReader(file)
-        ]
+    lines = [tuple(_number(name, line[name]) for name in COLUMNS) for line in read_csv(path, COLUMNS)]
     table = np.array(lines, TABLE)
     table = table[np.argsort(table["row"])]
     table.flags.writeable = False
     return table
+
+
+def _word(name: str, value: float) -> Value:
+    """A number of a table as it stands in the file: outcomes are words there."""
+    return Outcome(int(value)).name.lower() if name.startswith("outcome") else int(value)
+
+
+def _number(name: str, word: str) -> int:
+    return Outcome[word.upper()] if name.startswith("outcome") else int(word)
 
 
 def other_tables(folder: RunFolder) -> dict[str, EngineTable]:

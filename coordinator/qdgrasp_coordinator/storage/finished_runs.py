@@ -12,7 +12,6 @@ from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 from msgspec import Struct
@@ -60,72 +59,44 @@ def _files_mark(path: Path) -> str:
     return total.hexdigest()[:DIGITS]
 
 
-class _RunEngine(Struct, frozen=True):
-    """The part of a line that is kept in memory."""
-
-    run: str
-    engine: str | None = None
-
-
-class _Place(NamedTuple):
-    """The place of a run's line in the file, and the engine of its rows."""
-
-    first: int
-    stop: int
-    engine: str | None
-
-
 class FinishedRuns:
-    """The index in a campaign's folder as of the last `refresh`; no line is kept in memory."""
+    """The index in a campaign's folder as of the last `refresh`."""
 
     def __init__(self, campaign: Path) -> None:
         self._file = campaign / FINISHED
         self._inode = 0
         self._read = 0
-        self._places: dict[str, _Place] = {}
+        self._runs: dict[str, FinishedRun] = {}
 
     def refresh(self) -> None:
         """Read what was added to the file since the last time, or all of another one."""
-        try:
-            with self._file.open("rb") as stream:
-                stat = os.fstat(stream.fileno())
-                if stat.st_ino != self._inode or stat.st_size < self._read:
-                    self._inode, self._read = stat.st_ino, 0
-                    self._places.clear()
+        whole = b""
+        with suppress(OSError), self._file.open("rb") as stream:
+            stat = os.fstat(stream.fileno())
+            if stat.st_ino == self._inode and stat.st_size >= self._read:
                 stream.seek(self._read)
-                self._take(stream.read())
-        except OSError:
-            self._inode, self._read = 0, 0
-            self._places.clear()
-
-    def _take(self, text: bytes) -> None:
-        """Note where lines are; a last one that is not whole is read again the next time."""
-        first, stop = self._read, self._read + len(text)
-        for line in text.split(b"\n"):
-            try:
-                found = msgspec.json.decode(line, type=_RunEngine) if line else None
-            except (ValueError, RecursionError):  # ValueError: msgspec's too, and text that is not UTF-8
-                if first + len(line) == stop:
-                    break
-                found = None
-            if found is not None:
-                self._places[found.run] = _Place(first, first + len(line), found.engine)
-            first += len(line) + 1
-        self._read = min(first, stop)
+            else:
+                self._inode, self._read, self._runs = stat.st_ino, 0, {}
+            whole = stream.read().rpartition(b"\n")[0]
+        for line in whole.split(b"\n") if whole else ():
+            self._read += len(line) + 1
+            with suppress(ValueError, RecursionError):  # a line that was cut off, or is of another version
+                found = msgspec.json.decode(line, type=FinishedRun)
+                self._runs[found.run] = found
 
     def find(self, path: Path, spec: RunSpec | None = None) -> RunListing | None:
         """Return the listing of the run in a folder if it is finished; None: that is not known.
 
         With a `spec`: if it is finished under that spec.
         """
-        known = self._line(path.name)
+        known = self._runs.get(path.name)
         if known is None or (spec is not None and known.spec != _spec_digest(spec)):
             return None
         return known.listing if known.files == _files_mark(path) else None
 
     def engines(self) -> dict[str, str | None]:
         """Return the engines of the runs that are in the index, by run."""
-        return {run: place.engine for run, place in self._places.items()}
+        return {name: known.engine for name, known in self._runs.items()}
 
     def add(self, path: Path, spec: RunSpec, listing: RunListing) -> None:
         """Add the run in a folder; a disk that cannot take the line is no error."""
@@ -139,18 +110,6 @@ class FinishedRuns:
         with suppress(OSError):
             handle = os.open(self._file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
             try:
-                os.write(handle, b"\n" + msgspec.json.encode(line))  # it ends a line that was cut off
+                os.write(handle, b"\n" + msgspec.json.encode(line) + b"\n")  # it ends a line that was cut off
             finally:
                 os.close(handle)
-
-    def _line(self, run: str) -> FinishedRun | None:
-        place = self._places.get(run)
-        with suppress(OSError, ValueError, RecursionError):
-            if place is not None:
-                handle = os.open(self._file, os.O_RDONLY)
-                try:
-                    line = os.pread(handle, place.stop - place.first, place.first)
-                finally:
-                    os.close(handle)
-                return msgspec.json.decode(line, type=FinishedRun)
-        return None

@@ -22,7 +22,7 @@ from typing import IO
 
 import msgspec
 
-from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import (
     CAMPAIGN,
     ENDPOINT,
@@ -31,7 +31,6 @@ from qdgrasp_coordinator.storage.outputs import (
     LOGS,
     RUNS,
     SUPERVISED,
-    OutFolder,
 )
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.keys import Keys, job_name
@@ -42,30 +41,19 @@ LOCK_INTERVAL = 0.05  # seconds between two tries
 
 
 @contextmanager
-def hold_lock(folder: Path, name: str = LOCK, *, is_removed: bool = False) -> Iterator[None]:
-    """Hold the lock `name` of the folder; raise `FolderError` if another process holds it.
-
-    Its file is removed at the end if `is_removed`.
-    """
+def hold_lock(folder: Path, name: str = LOCK) -> Iterator[None]:
+    """Hold the lock `name` of the folder; raise `FolderError` if another process holds it."""
     deadline = time.monotonic() + LOCK_PATIENCE
-    while True:
-        with _lock_file(folder, name) as file:
-            while not _try_lock(file):
-                if time.monotonic() > deadline:
-                    raise _in_use(folder, file)
-                time.sleep(LOCK_INTERVAL)  # trying does not wait: sleep between two tries
-            if not atomic_files.is_still_at(folder / name, file):
-                continue  # the process that held it removed it
-            with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
-                file.truncate(0)
-                file.write(str(os.getpid()))
-                file.flush()
-            try:
-                yield
-            finally:
-                if is_removed:
-                    (folder / name).unlink(missing_ok=True)
-            return
+    with _lock_file(folder, name) as file:
+        while not _try_lock(file):
+            if time.monotonic() > deadline:
+                raise _in_use(folder, file)
+            time.sleep(LOCK_INTERVAL)  # trying does not wait: sleep between two tries
+        with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
+            file.truncate(0)
+            file.write(str(os.getpid()))
+            file.flush()
+        yield
 
 
 def check_unlocked(folder: Path, name: str = LOCK) -> None:
@@ -77,7 +65,7 @@ def check_unlocked(folder: Path, name: str = LOCK) -> None:
 
 @contextmanager
 def _lock_file(folder: Path, name: str) -> Iterator[IO[str]]:
-    with atomic_files.writing(folder):
+    with outputs.writing(folder):
         file = (folder / name).open("a+")
     with file:
         yield file
@@ -107,7 +95,7 @@ class JobRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     epoch: int = 0
     """Epoch of the last coordinator; 0 before the first."""
     identity: JobId = ""
-    """Unique id of the job; empty in an earlier version's folder until its next epoch."""
+    """Unique id that tells the job from others of its name."""
 
     @classmethod
     def begun(cls, path: Path, name: str | None = None) -> "JobRecord":
@@ -133,7 +121,7 @@ class JobFolder:
     @classmethod
     def open(cls, path: Path) -> "JobFolder":
         """Return the folder of a job that was begun; raise `FolderError` without one."""
-        atomic_files.check_folder(path)
+        outputs.check_folder(path)
         if not cls.is_job(path):
             raise FolderError(f"{path} holds no run and no campaign: there is no {JOB} in it.")
         return cls(path)
@@ -144,14 +132,13 @@ class JobFolder:
 
         Raises `FolderError` or `DiskFull` where the folder holds other files, or cannot be made.
         """
-        OutFolder(path).check()
-        atomic_files.create_folder(path, JobRecord.begun(path, name).file | dict(files), folders=[LOGS, RUNS])
+        outputs.create_folder(path, JobRecord.begun(path, name).file | dict(files), folders=[LOGS, RUNS])
         return cls(path)
 
     @staticmethod
     def is_job(path: Path) -> bool:
         """Return whether a job was begun in this folder."""
-        return atomic_files.is_file(path / JOB)
+        return outputs.is_file(path / JOB)
 
     def check_there(self) -> None:
         """Raise `FolderError` if the folder of a job that goes on is not there any more."""
@@ -201,13 +188,13 @@ class JobFolder:
 
     @property
     def identity(self) -> str:
-        """Unique id that tells the job from others of its name; empty: not known yet."""
+        """Unique id that tells the job from others of its name."""
         return self._job.identity
 
     def set_epoch(self, epoch: int) -> None:
         """Store an epoch; it is on the disk when this returns."""
-        record = JobRecord(self.name, epoch, self.identity or secrets.token_hex(16))
-        atomic_files.replace(self.path / JOB, msgspec.json.encode(record))
+        record = JobRecord(self.name, epoch, self.identity)
+        outputs.replace(self.path / JOB, msgspec.json.encode(record))
 
     @property
     def endpoint(self) -> str | None:
@@ -218,7 +205,7 @@ class JobFolder:
 
     def write_endpoint(self, endpoint: str) -> None:
         """Note where the router listens."""
-        atomic_files.replace(self.path / ENDPOINT, f"{endpoint}\n".encode())
+        outputs.replace(self.path / ENDPOINT, f"{endpoint}\n".encode())
 
     def forget_endpoint(self) -> None:
         """Note that no router listens."""
@@ -245,6 +232,6 @@ class JobFolder:
     @property
     def _job(self) -> JobRecord:
         try:
-            return msgspec.json.decode(atomic_files.read(self.path / JOB), type=JobRecord)
+            return msgspec.json.decode(outputs.read(self.path / JOB), type=JobRecord)
         except (ValueError, RecursionError) as error:  # ValueError: msgspec's too, and text that is not UTF-8
-            raise atomic_files.damaged_file(self.path / JOB, str(error)) from None
+            raise outputs.damaged_file(self.path / JOB, str(error)) from None

@@ -5,10 +5,14 @@ rows; beside them stand the successes with what queries need, reasons of errors,
 One process writes; any number may read while it does, each sees the journal as it was when it was opened.
 """
 
+import json
 import sqlite3
+import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,21 +20,171 @@ import msgspec
 import numpy as np
 
 from qdgrasp_coordinator.metrics.run_stats import successes
-from qdgrasp_coordinator.storage.atomic_files import damaged_file
-from qdgrasp_coordinator.storage.journal_schema import (
-    APPLICATION,
-    FORMAT,
-    JournalIdentity,
-    create_tables,
-    explaining_read_errors,
-)
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
-from qdgrasp_coordinator.storage.outputs import JOURNAL
-from qdgrasp_protocol.errors import FolderError
-from qdgrasp_protocol.messages import Failure, Width
-from qdgrasp_protocol.rows import Rows, RowShape
+from qdgrasp_coordinator.storage.outputs import JOURNAL, damaged_file
+from qdgrasp_protocol.errors import DiskFull, FolderError, MessageError
+from qdgrasp_protocol.messages import Failure, Recordable, Width, deflated
+from qdgrasp_protocol.rows import COLUMNS, Rows, RowShape, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, from_toml
 from qdgrasp_protocol.text import printable
+
+APPLICATION = 0x71646772  # "qdgr"
+FORMAT = 1
+UNREADABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_NOMEM}
+NO_ROOM = {
+    sqlite3.SQLITE_FULL,
+    sqlite3.SQLITE_IOERR_WRITE,  # a file at its size limit, a quota
+    sqlite3.SQLITE_IOERR_SHMSIZE,  # also of readers
+}
+"""SQLite's error codes for a write that does not fit; the transaction is rolled back."""
+SCHEMA = """
+CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID;
+CREATE TABLE turns (
+    epoch INTEGER PRIMARY KEY, -- a coordinator's turn at the run
+    opened REAL NOT NULL,      -- when it opened the run [s since 1970]
+    last REAL NOT NULL         -- the last commit of its rows
+) STRICT;
+CREATE TABLE blocks (
+    first INTEGER PRIMARY KEY, -- number of the block's first row
+    n INTEGER NOT NULL,
+    epoch INTEGER NOT NULL,
+    cpu_seconds REAL NOT NULL, -- what the rows cost on their workers
+    crc INTEGER NOT NULL,      -- crc32 of the blob
+    rows BLOB NOT NULL         -- rows of the dtype of rows.RowShape: their first bytes, their second bytes,
+                               -- and so on, deflated (zlib)
+) STRICT;
+CREATE TABLE successes (       -- every success ever found, fitness 0 included
+    row INTEGER PRIMARY KEY,
+    generation INTEGER NOT NULL, "index" INTEGER NOT NULL, trial INTEGER NOT NULL,
+    outcome INTEGER NOT NULL, fitness REAL NOT NULL,
+    x REAL NOT NULL, y REAL NOT NULL, z REAL NOT NULL,                        -- base_to_object [m]
+    qx REAL NOT NULL, qy REAL NOT NULL, qz REAL NOT NULL, qw REAL NOT NULL,
+    cell_x INTEGER NOT NULL, cell_y INTEGER NOT NULL, cell_z INTEGER NOT NULL, -- of the descriptor, 1 cm
+    nu REAL NOT NULL, contacts INTEGER NOT NULL, penetration REAL NOT NULL
+) STRICT;
+CREATE INDEX successes_by_cell ON successes (cell_x, cell_y, cell_z, fitness);
+CREATE INDEX successes_by_fitness ON successes (fitness);
+CREATE TABLE errors (row INTEGER PRIMARY KEY, reason TEXT NOT NULL) STRICT;
+"""
+
+
+@dataclass(frozen=True)
+class JournalIdentity:
+    """The run that a journal belongs to: its name, spec, scene and row shape."""
+
+    run: str
+    spec: str
+    """The full spec as TOML."""
+    scene: str
+    """sha256 of the scene bundle."""
+    shape: RowShape
+
+
+def create_tables(database: sqlite3.Connection, identity: JournalIdentity) -> None:
+    """Create the tables of a run's journal in an empty database."""
+    meta = {
+        "run": identity.run,
+        "spec": identity.spec,
+        "scene": identity.scene,
+        "shape": json.dumps(asdict(identity.shape)),
+        "package": version("qdgrasp"),
+        "created": str(time.time()),
+    }
+    database.executescript(
+        f"BEGIN; PRAGMA application_id = {APPLICATION}; PRAGMA user_version = {FORMAT}; {SCHEMA}"
+    )
+    database.executemany("INSERT INTO meta VALUES (?, ?)", meta.items())
+    database.execute("COMMIT")  # at once: each transaction is a wait for the disk
+
+
+@contextmanager
+def explaining_read_errors(file: Path) -> Iterator[None]:
+    """Turn SQLite's errors about a file that cannot be read into `FolderError` or `DiskFull`."""
+    try:
+        yield
+    except sqlite3.ProgrammingError:
+        raise  # the module's own word on how it is used, such as after the end: the file is as it was
+    except sqlite3.DatabaseError as error:
+        code = getattr(error, "sqlite_errorcode", None)  # text that is not UTF-8 has none
+        if code == sqlite3.SQLITE_NOTADB:
+            raise FolderError(f"{file} is not a journal of qdgrasp.") from None
+        if code in NO_ROOM:
+            raise DiskFull(f"There is no room in {file.parent} to read {file.name}: {error}.") from None
+        if code in UNREADABLE:
+            raise FolderError(f"{file} cannot be read: {error}.") from None
+        raise damaged_file(file, str(error)) from None
+
+
+@dataclass(frozen=True)
+class JournalSlice:
+    """Rows of the journal from number `first` on."""
+
+    first: int
+    """The number of its first row; numbers count rows of the run from 0, in journal order."""
+    rows: Rows
+    cpu_seconds: float = 0.0
+    """CPU time of these rows on workers [s]; outside the digest, so it may be an estimate."""
+    failures: tuple[Failure, ...] = ()
+    """Reasons of rows with `Outcome.ERROR`, by their place in `rows`."""
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def stop(self) -> int:
+        """The number behind its last row."""
+        return self.first + len(self.rows)
+
+    def part(self, first: int, stop: int) -> "JournalSlice":
+        """Return the part with numbers from `first` up to `stop`; the cost goes by share of rows."""
+        low, high = max(first - self.first, 0), min(stop, self.stop) - self.first
+        if (low, high) == (0, len(self)):
+            return self
+        failures = tuple(
+            Failure(row=failure.row - low, reason=failure.reason)
+            for failure in self.failures
+            if low <= failure.row < high
+        )
+        cpu_seconds = self.cpu_seconds * (high - low) / len(self)
+        return JournalSlice(self.first + low, self.rows[low:high], cpu_seconds, failures)
+
+
+def join_slices(slices: Sequence[JournalSlice]) -> JournalSlice:
+    """Join slices that follow each other; at least one."""
+    if len(slices) == 1:
+        return slices[0]
+    first = slices[0].first
+    failures = tuple(
+        Failure(row=part.first - first + failure.row, reason=failure.reason)
+        for part in slices
+        for failure in part.failures
+    )
+    rows = np.concatenate([part.rows for part in slices])
+    return JournalSlice(first, rows, sum(part.cpu_seconds for part in slices), failures)
+
+
+def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) -> Recordable:
+    """Pack a part of a run's journal into a message."""
+    return Recordable(
+        epoch=epoch,
+        run=run,
+        first=part.first,
+        n=len(part),
+        **asdict(shape),
+        columns=deflated(pack(part.rows, COLUMNS)),
+        cpu_seconds=part.cpu_seconds,
+        failures=list(part.failures),
+    )
+
+
+def slice_from_message(message: Recordable, shape: RowShape) -> JournalSlice:
+    """Return the slice in a message; raise `MessageError` for other rows or unknown failed rows."""
+    came = RowShape(message.genes, message.joints, message.descriptors, message.contact_slots)
+    if came != shape:
+        raise MessageError(f"expected rows of {shape}, got {came}")
+    if any(failure.row >= message.n for failure in message.failures):
+        raise MessageError(f"a failure in a row behind its last, {message.n - 1}")
+    rows = unpack(shape.empty(message.n), COLUMNS, message.columns)
+    return JournalSlice(message.first, rows, message.cpu_seconds, tuple(message.failures))
 
 
 class JournalMeta(msgspec.Struct):

@@ -16,15 +16,15 @@ import numpy as np
 
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.run_stats import success_mask
-from qdgrasp_coordinator.storage import atomic_files
-from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.journal_schema import (
+from qdgrasp_coordinator.storage import outputs
+from qdgrasp_coordinator.storage.journal import (
     NO_ROOM,
+    Journal,
     JournalIdentity,
+    JournalSlice,
     create_tables,
     explaining_read_errors,
 )
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
 from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_protocol.errors import DiskFull, FolderError
 
@@ -77,8 +77,8 @@ class JournalWriter(Journal):
                 database.execute("PRAGMA journal_mode = WAL")
             finally:
                 database.close()
-        with atomic_files.writing(folder):
-            atomic_files.sync(part)
+        with outputs.writing(folder):
+            outputs.sync(part)
             part.replace(folder / JOURNAL)
         return cls._connect(folder)
 
@@ -199,7 +199,7 @@ def explaining_write_errors(folder: Path) -> Iterator[None]:
     except sqlite3.DatabaseError as error:
         if isinstance(error, sqlite3.ProgrammingError | sqlite3.IntegrityError):
             raise
-        raise atomic_files.damaged_file(folder / JOURNAL, str(error)) from None
+        raise outputs.damaged_file(folder / JOURNAL, str(error)) from None
 
 
 class OpenJournals:

@@ -5,16 +5,18 @@ before the work for them is begun. Existing files stay, unless `--force` replace
 stay. Parent folders are made when there is something to write. An output appears whole or not at all.
 """
 
+import errno
 import os
 import stat
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from qdgrasp_coordinator.storage import atomic_files
-from qdgrasp_protocol.errors import OutputError
+from qdgrasp_protocol.errors import DiskFull, FolderError, OutputError
 from qdgrasp_protocol.text import first_few
 
 PNG_SIGNATURE = {"Software": "qdgrasp"}  # Metadata that `savefig` writes into a PNG file
@@ -33,11 +35,129 @@ PARTS = frozenset(
     [*MARKS, ENDPOINT, LOCK, SUPERVISED, LOGS, RUNS, SPEC, SOURCE, RANKING, ORIGIN, SKIPPED, FINISHED]
     + [JOURNAL + suffix for suffix in ("-wal", "-shm")]
 )
+NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
-def is_part_of_run(path: Path) -> bool:
-    """Return whether a path is, or would be, one of the files that make a run or a job."""
-    return path.name in PARTS and any((path.absolute().parent / mark).exists() for mark in MARKS)
+def replace(file: Path, payload: bytes) -> None:
+    """Replace a file at once; the new bytes are on the disk when this returns."""
+    part = file.with_name(f"{file.name}.part")
+    with writing(file.parent):
+        part.write_bytes(payload)
+        sync(part)
+        part.replace(file)
+        sync(file.parent)
+
+
+def read(file: Path) -> bytes:
+    """Return the bytes of a file, or raise `FolderError`."""
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise FolderError(f"{file} cannot be read: {error_reason(error)}.") from None
+
+
+def is_file(path: Path) -> bool:
+    """Return whether there is a file; False where the path cannot be looked at."""
+    with suppress(OSError):
+        return path.is_file()
+    return False
+
+
+def check_folder(path: Path) -> None:
+    """Raise `FolderError` unless there is a folder to read from."""
+    with suppress(OSError):
+        if path.is_dir():
+            return
+    if os.path.lexists(path):
+        raise FolderError(f"{path} is no folder; name that of a run.")
+    raise FolderError(f"There is no folder {path}; `qdgrasp run --out {path}` would begin a run there.")
+
+
+def create_folder(path: Path, files: Mapping[str, bytes], folders: Iterable[str] = ()) -> None:
+    """Make a folder with files and empty folders in it; it appears whole or not at all.
+
+    Raises `DiskFull` or `OutputError` where it cannot be made, or holds other files.
+    """
+    with OutFolder(path).writing() as made:
+        made.mkdir()
+        for name, payload in files.items():
+            (made / name).write_bytes(payload)
+            sync(made / name)
+        for name in folders:
+            (made / name).mkdir()
+        sync(made)
+
+
+@contextmanager
+def making_parents(path: Path) -> Iterator[None]:
+    """Make a folder and its parents; where the with-block fails, remove the empty new ones."""
+    missing = [*takewhile(lambda each: not each.exists(), (path, *path.parents))]
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        for each in missing:
+            with suppress(OSError):  # one that holds something stays, and those above it
+                each.rmdir()
+        raise
+
+
+@contextmanager
+def _staging_folder(home: Path) -> Iterator[Path]:
+    """Make a hidden folder in `home` to build an output in; it is removed at the end."""
+    with (
+        making_parents(home),
+        TemporaryDirectory(dir=home, prefix=".", suffix=".part", ignore_cleanup_errors=True) as part,
+    ):
+        yield Path(part)
+
+
+def _put_in_place(made: Path, path: Path, old: Path | None = None) -> None:
+    """Move a finished file or folder to `path`, durably; what is replaced goes to `old`."""
+    if made.is_file():
+        sync(made)
+    try:
+        if old and path.is_dir():
+            path.rename(old)
+        made.rename(path)  # without `old` it replaces an empty folder, and no other
+    except BaseException:  # a signal, too
+        if old and old.exists() and not path.exists():
+            old.rename(path)
+        raise
+    sync(path.absolute().parent)
+
+
+def sync(path: Path) -> None:
+    """Flush a file's content, or a folder's list of names, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def writing(path: Path, instead: str = "") -> Iterator[None]:
+    """Turn a failure to write at `path` into an error that says what to do instead.
+
+    The error is `DiskFull` for want of room, else `OutputError`.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno in NO_ROOM:
+            raise DiskFull(f"There is no room to write in {path}: {error_reason(error)}.") from None
+        raise OutputError(path, f"cannot be written: {error_reason(error)}", instead) from None
+
+
+def damaged_file(file: Path, how: str) -> FolderError:
+    """Return the error for a file that does not hold what it should."""
+    return FolderError(f"{file} is damaged: {how}; restore it from a copy.")
+
+
+def error_reason(error: OSError) -> str:
+    """Return the reason of a failed file operation, in words."""
+    return (error.strerror or str(error)).lower()
 
 
 STDOUT = Path("-")
@@ -55,13 +175,17 @@ class Output(ABC):
 
     def check(self) -> None:
         """Check that it can be written, before the work for it is begun; else raise `OutputError`."""
-        with atomic_files.writing(self.path, self.instead):
+        with writing(self.path, self.instead):
             if self.path == STDOUT:
                 raise self._refused("would be standard output, where no output goes")
-            if is_part_of_run(self.path):
+            if self.path.name in PARTS and any((self._home / mark).exists() for mark in MARKS):
                 raise self._refused("is part of a run or of a campaign")
             self._check_place()
-            self._check_way()
+            there = next(each for each in (self._home, *self._home.parents) if _what(each))
+            if not there.is_dir():
+                raise self._refused(f"lies below {there}, which is {_what(there)}")
+            if not os.access(there, os.W_OK | os.X_OK):
+                raise self._refused(f"cannot be written: {there} is not to be written in")
 
     @property
     def _home(self) -> Path:
@@ -71,13 +195,10 @@ class Output(ABC):
     def _check_place(self) -> None:
         """Check that what is at the path may be replaced, or added to."""
 
-    def _check_way(self) -> None:
-        """Check that its folder can be written in, or made."""
-        there = next(each for each in (self._home, *self._home.parents) if _what(each))
-        if not there.is_dir():
-            raise self._refused(f"lies below {there}, which is {_what(there)}")
-        if not os.access(there, os.W_OK | os.X_OK):
-            raise self._refused(f"cannot be written: {there} is not to be written in")
+    def _check_new(self, *, force: bool | None) -> None:
+        """Refuse to replace what is there, unless forced."""
+        if not force:
+            raise OutputError(self.path, "is there already", self.instead, forces=force is not None)
 
     def _refused(self, why: str) -> OutputError:
         return OutputError(self.path, why, self.instead)
@@ -87,6 +208,9 @@ class Output(ABC):
 class WholeOutput(Output):
     """An output that appears whole or not at all."""
 
+    force: bool | None = None
+    """True: what is there is replaced; None: it is not, and there is no flag for it."""
+
     @contextmanager
     def writing(self) -> Iterator[Path]:
         """Give a with-block a path to write to; what it wrote becomes the output at once.
@@ -95,12 +219,10 @@ class WholeOutput(Output):
         or `OutputError` where it cannot be written.
         """
         self.check()
-        with atomic_files.writing(self.path, self.instead), atomic_files.staging_folder(self.path) as part:
-            self.check()  # what a killed process had moved away is back
-            made = part / "new" / self.path.name
-            made.parent.mkdir()
+        with writing(self.path, self.instead), _staging_folder(self._home) as part:
+            made = part / self.path.name
             yield made
-            atomic_files.put_in_place(made, self.path, part / atomic_files.OLD)
+            _put_in_place(made, self.path, part / f"{made.name}.old" if self.force else None)
 
 
 @dataclass(frozen=True)
@@ -109,8 +231,6 @@ class OutFile(WholeOutput):
 
     suffixes: tuple[str, ...] = ()
     """Allowed endings of its name; empty: any."""
-    force: bool | None = False
-    """True: a file that is there is replaced; None: it is not, and there is no flag for it."""
     inputs: tuple[Path, ...] = ()
     """Files that the command reads and never replaces; missing ones are passed over."""
     is_kind: Callable[[Path], bool] = lambda _: True
@@ -124,14 +244,14 @@ class OutFile(WholeOutput):
     def _check_place(self) -> None:
         if self.suffixes and self.path.suffix.lower() not in self.suffixes:
             raise self._refused(f"must end with {' or '.join(self.suffixes)}")
-        what = _what(self.path)
-        if what not in ("", FILE):
+        if not (what := _what(self.path)):
+            return
+        if what != FILE:
             raise self._refused(f"is {what}, where {FILE} is to be written")
-        if what and any(atomic_files.is_file(each) and self.path.samefile(each) for each in self.inputs):
+        if any(is_file(each) and self.path.samefile(each) for each in self.inputs):
             raise self._refused("is a file that is read here")
-        if what and not self.force:
-            raise OutputError(self.path, "is there already", self.instead, forces=self.force is not None)
-        if what and not self.is_kind(self.path):
+        self._check_new(force=self.force)
+        if not self.is_kind(self.path):
             raise self._refused("is there already, and was not made by qdgrasp")
 
 
@@ -139,8 +259,6 @@ class OutFile(WholeOutput):
 class OutFolder(WholeOutput):
     """A folder of its own; an empty one that is there becomes it."""
 
-    force: bool | None = None
-    """True: a folder of the kind is replaced; None: it is not, and there is no flag for it."""
     is_kind: Callable[[Path], bool] = lambda _: False
     """Returns True for a folder of the kind that may be replaced."""
 
@@ -148,11 +266,10 @@ class OutFolder(WholeOutput):
         what = _what(self.path)
         if what not in ("", FOLDER):
             raise self._refused(f"is {what}, where {FOLDER} is to be written")
-        names = _names(self.path)
-        if names and not self.is_kind(self.path):
-            raise self._refused(_others(names))
-        if names and not self.force:
-            raise OutputError(self.path, "is there already", self.instead, forces=self.force is not None)
+        if names := _names(self.path):
+            if not self.is_kind(self.path):
+                raise self._refused(_others(names))
+            self._check_new(force=self.force)
 
 
 @dataclass(frozen=True)
@@ -161,8 +278,6 @@ class SharedFolder(Output):
 
     is_kind: Callable[[Path], bool] = lambda _: True
     """Returns True for a folder, not empty, that files may be put into."""
-    mark: str = ""
-    """The file by which `is_kind` knows such a folder; it takes its place before the others."""
 
     def file(self, name: str, is_kind: Callable[[Path], bool] = lambda _: True) -> OutFile:
         """A file in it, in the place of an earlier one of the name and the kind."""
@@ -175,13 +290,13 @@ class SharedFolder(Output):
         Where the block fails none of them does. Raises as `writing`.
         """
         self.check()
-        with atomic_files.writing(self.path, self.instead), atomic_files.staging_folder(self._staged) as part:
+        with writing(self.path, self.instead), _staging_folder(self._home) as part:
             yield part
-            files = sorted(part.iterdir(), key=lambda made: (made.name != self.mark, made.name))
+            files = sorted(part.iterdir())
             for made in files:
                 self.file(made.name).check()
             for made in files:
-                atomic_files.put_in_place(made, self.path / made.name, part)
+                _put_in_place(made, self.path / made.name)
 
     @property
     def _home(self) -> Path:
@@ -191,20 +306,14 @@ class SharedFolder(Output):
         what = _what(self.path)
         if what and not self.path.is_dir():
             raise self._refused(f"is {what}, where {FOLDER} is to be written")
-        names = _names(self.path, self._staged)
-        if names and not self.is_kind(self.path):
+        if (names := _names(self.path)) and not self.is_kind(self.path):
             raise self._refused(_others(names))
 
-    @property
-    def _staged(self) -> Path:
-        """Path after which its temporary folders are named."""
-        return self.path / "new"
 
-
-def _names(folder: Path, staged: Path | None = None) -> list[str]:
-    """Return the names in a folder, without those of temporary folders of `staged`."""
+def _names(folder: Path) -> list[str]:
+    """Return the names in a folder, without what a killed command was writing."""
     there = folder.iterdir() if folder.is_dir() else ()
-    return sorted(each.name for each in there if not (staged and atomic_files.is_staging(each, staged)))
+    return sorted(each.name for each in there if not (each.name[0] == "." and each.suffix == ".part"))
 
 
 def _others(names: list[str]) -> str:

@@ -17,19 +17,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-import msgspec
-
 from qdgrasp_assets.scene import Bundle, Scene, unpack_scene
-from qdgrasp_coordinator.metrics.run_stats import successes
-from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
-from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal import Journal, JournalIdentity
 from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE, SPEC, OutFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import FolderError, MessageError
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import GOAL_KEYS, RunSpec, differences, read_run_spec, run_spec, to_toml
+from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
 
 Files = Mapping[str, bytes]
@@ -54,30 +50,6 @@ def journal_digest(journal: Journal) -> str:
     for rows in journal.blocks():
         total.update(rows.tobytes())
     return total.hexdigest()
-
-
-def search_digest(spec: RunSpec, scene: str) -> str:
-    """Return the digest of a run's search, without budget and goals: 16 hex digits.
-
-    `scene` is the sha256 of its bundle, which stands for gripper and object, wherever their files lie.
-    """
-    endless = msgspec.structs.replace(
-        spec, gripper="", object="", about=None, evaluations=1, **dict.fromkeys(GOAL_KEYS)
-    )
-    return hashlib.sha256(f"{scene}\n{to_toml(endless)}".encode()).hexdigest()[:16]
-
-
-def run_digest(spec: RunSpec, journal: Journal, rows: range) -> str:
-    """Return `search_digest` of a run with these rows; it stays when the run is extended.
-
-    Searches of a program's own are told apart by their first success, which the spec does not say.
-    """
-    digest = search_digest(spec, journal.scene)
-    for block in journal.blocks(rows.start, rows.stop) if spec.has_own_search else ():
-        if len(first := successes(block)[:1]):
-            found = (first[name].tobytes() for name in ("generation", "index", "base_to_object"))
-            return hashlib.sha256(b"".join((digest.encode(), *found))).hexdigest()[: len(digest)]
-    return digest
 
 
 SHOWN, LONGEST = 3, 40  # Most keys, and characters of a value, named where two files are of different runs
@@ -107,21 +79,20 @@ class RunFolder:
         """
         cls.check_free(path)
         files = JobRecord.begun(path, job).file | run_files(spec, bundle) | dict(more)
-        atomic_files.create_folder(path, files, folders=[LOGS])
+        outputs.create_folder(path, files, folders=[LOGS])
         return cls(path)
 
     @classmethod
     def add(cls, job: JobFolder, run: str, spec: RunSpec, bundle: Bundle | None) -> "RunFolder":
         """Begin the folder of one of a campaign's runs; raises as `create`."""
         path = job.run_path(run)
-        OutFolder(path).check()
-        atomic_files.create_folder(path, run_files(spec, bundle))
+        outputs.create_folder(path, run_files(spec, bundle))
         return cls(path)
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":
         """Return the folder of a run that was begun; raise `FolderError` without one."""
-        atomic_files.check_folder(path)
+        outputs.check_folder(path)
         if not cls.is_run(path):
             raise FolderError(_no_run_reason(path))
         return cls(path)
@@ -129,7 +100,7 @@ class RunFolder:
     @staticmethod
     def is_run(path: Path) -> bool:
         """Return whether a run was begun in this folder."""
-        return atomic_files.is_file(path / SPEC) and JobFolder.is_job(_job_path(path))
+        return outputs.is_file(path / SPEC) and JobFolder.is_job(_job_path(path))
 
     @staticmethod
     def check_free(path: Path) -> None:
@@ -178,11 +149,11 @@ class RunFolder:
 
     def rewrite_spec(self, spec: RunSpec) -> None:
         """Replace the spec."""
-        atomic_files.replace(self.path / SPEC, to_toml(spec).encode())
+        outputs.replace(self.path / SPEC, to_toml(spec).encode())
 
     def bundle(self) -> Bundle:
         """The scene as bytes, with its digest."""
-        payload = atomic_files.read(self.path / SCENE)
+        payload = outputs.read(self.path / SCENE)
         return Bundle(payload, hashlib.sha256(payload).hexdigest())
 
     def has_bundle(self) -> bool:
@@ -191,7 +162,7 @@ class RunFolder:
 
     def add_bundle(self, payload: bytes) -> None:
         """Store the scene."""
-        atomic_files.replace(self.path / SCENE, payload)
+        outputs.replace(self.path / SCENE, payload)
 
     def scene(self) -> Scene:
         """Return the scene; raise `FolderError` if it is missing or damaged."""
@@ -229,7 +200,7 @@ class RunFolder:
     def _check_own(self, journal: Journal) -> None:
         """Check that a journal is of this folder's spec, with any budget, and of its scene."""
         file = self.path / JOURNAL
-        if journal.spec_text != atomic_files.read(self.path / SPEC).decode(errors="replace"):
+        if journal.spec_text != outputs.read(self.path / SPEC).decode(errors="replace"):
             recorded, spec = journal.spec, self.spec
             if other := differences(recorded, spec):
                 raise _other_run(
@@ -271,7 +242,7 @@ def _spec_in_words(spec: RunSpec, keys: Iterable[str]) -> str:
 def _no_run_reason(path: Path) -> str:
     if JobFolder.is_job(path) and JobFolder(path).is_campaign:
         return f"{path} holds a campaign; name one of its runs, a folder in {path / RUNS}."
-    there = [name for name in (SPEC, JOB) if atomic_files.is_file(path / name)]
+    there = [name for name in (SPEC, JOB) if outputs.is_file(path / name)]
     if not there:
         return f"{path} holds no run: there is neither {SPEC} nor {JOB} in it; name a run's folder."
     (missing,) = {SPEC, JOB} - {*there}

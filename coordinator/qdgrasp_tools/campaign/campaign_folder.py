@@ -29,7 +29,7 @@ from qdgrasp_coordinator.scheduler.run_plan import (
     prepare_scene,
 )
 from qdgrasp_coordinator.search.registry import check_spec
-from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder, JobRecord
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, SKIPPED, OutFolder
@@ -317,7 +317,7 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
         files = JobRecord.begun(path, job).file | {CAMPAIGN: asked.toml.encode()}
         if asked.skipped:
             files |= {SKIPPED: skip_report(asked.skipped)}
-        atomic_files.create_folder(path, files, folders=[LOGS, RUNS])
+        outputs.create_folder(path, files, folders=[LOGS, RUNS])
         return CampaignRunQueue(None, asked.runs).extent
     folder = open_campaign(path)
     if job not in (None, folder.name):
@@ -327,9 +327,9 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
     extent = CampaignRunQueue(folder, asked.runs).extent
     file = folder.path / CAMPAIGN
     if file.read_bytes() != asked.toml.encode():
-        atomic_files.replace(file, asked.toml.encode())
+        outputs.replace(file, asked.toml.encode())
     if asked.skipped is not None and (asked.skipped or (folder.path / SKIPPED).is_file()):
-        atomic_files.replace(folder.path / SKIPPED, skip_report(asked.skipped))
+        outputs.replace(folder.path / SKIPPED, skip_report(asked.skipped))
     return extent
 
 

@@ -24,7 +24,7 @@ from qdgrasp_coordinator.metrics.scores import (
 )
 from qdgrasp_coordinator.search.fixed_poses import postures
 from qdgrasp_coordinator.search.registry import prior_of
-from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.tables import aligned_text, csv_text
@@ -149,7 +149,7 @@ def write_ranking(folder: RunFolder) -> str:
     """
     table = rank_poses(folder)
     rows = [dict(zip(RANKING_COLUMNS, (f"{value:.9g}" for value in line), strict=True)) for line in table]
-    atomic_files.replace(folder.path / RANKING, csv_text(rows, RANKING_COLUMNS).encode())
+    outputs.replace(folder.path / RANKING, csv_text(rows, RANKING_COLUMNS).encode())
     shown = [[f"{round(value, ETA_DIGITS):g}" for value in line[:11]] for line in table[:RANKS_SHOWN]]
     text = aligned_text([RANKING_COLUMNS[:11], *shown])
     return f"{text}\n{counted(len(table), 'grasp')} ranked in {folder.path / RANKING}"
@@ -161,9 +161,9 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
     The greatest eta comes first. A pose that is no success any more has eta 0: it has no trials.
     """
     try:
-        source = msgspec.json.decode(atomic_files.read(folder.path / SOURCE), type=RankingSource)
+        source = msgspec.json.decode(outputs.read(folder.path / SOURCE), type=RankingSource)
     except (msgspec.MsgspecError, RecursionError) as error:
-        raise atomic_files.damaged_file(folder.path / SOURCE, str(error)) from None
+        raise outputs.damaged_file(folder.path / SOURCE, str(error)) from None
     plan = TrialPlan.of(folder.spec)
     with folder.journal() as journal:
         every = journal.rows(0, journal.count)

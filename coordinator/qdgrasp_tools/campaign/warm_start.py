@@ -17,7 +17,7 @@ from qdgrasp_coordinator.search.base import search_space
 from qdgrasp_coordinator.search.registry import learns_value, prior_of, search_words
 from qdgrasp_coordinator.search.success_model import pooled_weights
 from qdgrasp_coordinator.search.value_search import STARTS, ValueSearch
-from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import ORIGIN
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
 from qdgrasp_protocol.errors import InputError, ReplayError
@@ -68,7 +68,7 @@ class WarmStart(Struct, frozen=True):
 
     def write(self, folder: RunFolder) -> None:
         """Note in the new run's folder which runs its weights were learned from."""
-        atomic_files.replace(folder.path / ORIGIN, msgspec.json.encode({"runs": self.runs}))
+        outputs.replace(folder.path / ORIGIN, msgspec.json.encode({"runs": self.runs}))
 
 
 def learned_weights(searches: Sequence[ValueSearch]) -> FirstWeights:

@@ -72,7 +72,7 @@ def check(
     metres, path, writing = options.scale_of_units(units), _found(file), None
     drawing = asset_commands.picture_folder(picture, "--picture", [path.name])
     if repaired is not None:
-        writing = OutFile(repaired, "name another path with --repaired", WRITABLE_FORMATS, force=None)
+        writing = OutFile(repaired, "name another path with --repaired", suffixes=WRITABLE_FORMATS)
         writing.check()
     prepared = options.preparation(mesh)
     glued = prepared is not None and prepared.glued

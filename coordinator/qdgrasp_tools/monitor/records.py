@@ -19,7 +19,7 @@ from qdgrasp_coordinator.metrics.job_status import (
     from_json,
 )
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, count_rows
-from qdgrasp_coordinator.storage import atomic_files, success_pages
+from qdgrasp_coordinator.storage import outputs, success_pages
 from qdgrasp_coordinator.storage.engine_table import EngineTable, other_tables
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -175,7 +175,7 @@ def _jobs_at(path: Path) -> Iterator[tuple[JobFolder, Path | None]]:
     if RunFolder.is_run(path):
         yield RunFolder(path).job, path.absolute()
         return
-    atomic_files.check_folder(path)
+    outputs.check_folder(path)
     inside = sorted(each for each in path.glob("[!.]*") if JobFolder.is_job(each))
     if not inside:
         raise FolderError(

@@ -96,7 +96,7 @@ def write_report(
     run, none has recorded an evaluation, one cannot be read, or `out` cannot be written, and UnknownName if
     no run is of such a method or object.
     """
-    folder = SharedFolder(out, is_kind=is_ours, mark=RUNS_FILE)
+    folder = SharedFolder(out, is_kind=is_ours)
     folder.check()
     runs, copies = read_histories(find_runs(path), ReferenceLookup(references))
     groups = group_runs(runs)

@@ -16,7 +16,7 @@ from scipy.stats import bootstrap
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceLookup
 from qdgrasp_coordinator.search import registry
-from qdgrasp_coordinator.storage import atomic_files
+from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import RUNS, SPEC
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
@@ -76,7 +76,7 @@ def find_runs(path: Path) -> list[RunFolder]:
     Runs that score given poses are passed over. Raises FolderError if there is no such folder, or
     no such run.
     """
-    atomic_files.check_folder(path)
+    outputs.check_folder(path)
     home = path / RUNS if (path / RUNS).is_dir() else path
     places = [path] if (path / SPEC).is_file() else sorted(home.iterdir())
     runs = [RunFolder(place) for place in places if (place / SPEC).is_file()]

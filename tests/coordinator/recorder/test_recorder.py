@@ -22,8 +22,7 @@ from qdgrasp_coordinator.recorder.recorder import (
 from qdgrasp_coordinator.recorder.run_writer import GROUP_SECONDS, Arrival
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
+from qdgrasp_coordinator.storage.journal import Journal, JournalSlice, slice_to_message
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample

@@ -6,7 +6,7 @@ from tests.common import PATIENCE, wait_for
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, FakeCoordinator, make_rows, recording
 
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice, slice_to_message
+from qdgrasp_coordinator.storage.journal import JournalSlice, slice_to_message
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.bus import Bus

@@ -12,8 +12,7 @@ from qdgrasp_coordinator.recorder.run_writer import (
     Arrival,
     RunWriter,
 )
-from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 

@@ -13,7 +13,7 @@ from qdgrasp_coordinator.scheduler.recorder_client import (
     Outbox,
     RecorderClient,
 )
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_protocol.bus import Query
 from qdgrasp_protocol.errors import InputError, RecorderFellBack, Refused, TookOver
 from qdgrasp_protocol.keys import Keys

@@ -11,7 +11,7 @@ from tests.fakes.job import FakeRunQueue, OpenedSink, make_run_plan, runs_of
 
 from qdgrasp_coordinator.scheduler import run_registry
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, LoaderEvent, NoRunLeft
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_protocol.errors import ReplayError, RunFailed
 from qdgrasp_protocol.messages import Opened
 from qdgrasp_protocol.rows import Rows

@@ -17,9 +17,7 @@ from tests.coordinator.recorded_runs import spoil_block
 
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.storage import journal as journal_module
-from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice, join_slices
+from qdgrasp_coordinator.storage.journal import Journal, JournalIdentity, JournalSlice, join_slices
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_coordinator.storage.run_folder import journal_digest

@@ -1,21 +1,17 @@
-import fcntl
 import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import IO
 
 import msgspec
 import pytest
-from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_assets.scene import Bundle, pack_scene
-from qdgrasp_coordinator.storage import job_folder
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
+from qdgrasp_coordinator.storage.journal import JournalIdentity
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
-from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -38,10 +34,6 @@ def test_a_new_folder_holds_the_spec_the_scene_and_the_job(folder: RunFolder) ->
     assert sorted(entry.name for entry in folder.path.parent.iterdir()) == ["My run 1"]
 
 
-def test_the_job_may_have_a_name_of_its_own(tmp_path: Path) -> None:
-    assert RunFolder.create(tmp_path / "a" / "b", SPEC, None, job="mugs").job.name == "mugs"
-
-
 def test_an_empty_folder_may_become_a_runs(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     assert RunFolder.create(tmp_path / "run", SPEC, BUNDLE).spec == SPEC
@@ -57,14 +49,6 @@ def test_no_run_is_begun_in_the_folder_of_another(folder: RunFolder) -> None:
     with pytest.raises(FolderError, match=f"would lie in {folder.path}, the folder of a run"):
         RunFolder.check_free(folder.path / "new" / "run")
     RunFolder.check_free(folder.path / ".." / "new")
-
-
-def test_a_file_is_no_folder(tmp_path: Path) -> None:
-    (tmp_path / "run").touch()
-    with pytest.raises(FolderError, match="is a file"):
-        RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
-    with pytest.raises(FolderError, match=r"lies below .*, which is a file"):
-        RunFolder.create(tmp_path / "run" / "below", SPEC, BUNDLE)
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
@@ -102,31 +86,11 @@ def test_a_job_has_an_identity_that_no_other_of_its_name_has(folder: RunFolder, 
     assert again.identity == before
 
 
-def test_the_folder_of_an_earlier_version_gets_an_identity_with_its_next_turn(folder: RunFolder) -> None:
-    (folder.path / "job.json").write_text('{"job": "a", "epoch": 3}')
-    assert (folder.job.epoch, folder.job.identity) == (3, "")
-    folder.job.set_epoch(4)
-    known = folder.job.identity
-    folder.job.set_epoch(5)
-    assert known == folder.job.identity != ""
-
-
 @pytest.mark.parametrize("damaged", [b'{"job": "a", "epoch"', b'{"job": "\xff", "epoch": 3}'])
 def test_a_damaged_job_file_is_named(folder: RunFolder, damaged: bytes) -> None:
     (folder.path / "job.json").write_bytes(damaged)
     with pytest.raises(FolderError, match=r"job\.json is damaged"):
         assert folder.job.epoch
-
-
-def test_a_damaged_scene_is_named(folder: RunFolder) -> None:
-    with pytest.raises(FolderError, match=r"scene\.bundle cannot be read"):
-        folder.scene()
-
-
-def test_a_spec_can_be_rewritten(folder: RunFolder) -> None:
-    longer = RunSpec(gripper="panda", object="mug", evaluations=20_000)
-    folder.rewrite_spec(longer)
-    assert RunFolder.open(folder.path).spec == longer
 
 
 def test_the_endpoint_is_known_from_when_it_is_written_until_it_is_forgotten(folder: RunFolder) -> None:
@@ -149,11 +113,6 @@ def recorded(folder: RunFolder, spec: RunSpec = SPEC) -> RunFolder:
     identity = JournalIdentity("run", to_toml(spec), folder.bundle().digest, RowShape(7, 2))
     JournalWriter.create(folder.path, identity).close()
     return folder
-
-
-def test_a_recorded_journal_is_read(folder: RunFolder) -> None:
-    with recorded(folder).journal() as journal:
-        assert journal.scene == folder.bundle().digest
 
 
 def test_a_journal_is_its_folder_s_own_with_any_budget_and_without_its_scene(folder: RunFolder) -> None:
@@ -211,39 +170,3 @@ def test_one_process_at_a_time_and_its_death_frees_the_folder(folder: RunFolder)
     folder.job.check_not_in_use()
     with folder.job.lock(), pytest.raises(FolderError, match=f"in use by process {os.getpid()}"):
         folder.job.check_not_in_use()
-
-
-def test_a_lock_whose_file_was_removed_by_the_one_that_held_it_is_not_taken(tmp_path, monkeypatch) -> None:
-    take, tried = job_folder._try_lock, []
-
-    def take_late(file: IO[str]) -> bool:
-        if not tried:
-            (tmp_path / "lock").unlink()
-        tried.append(file)
-        return take(file)
-
-    monkeypatch.setattr(job_folder, "_try_lock", take_late)
-    with job_folder.hold_lock(tmp_path, "lock", is_removed=True):
-        assert (tmp_path / "lock").read_text() == str(os.getpid())
-        with pytest.raises(FolderError, match="in use by process"):
-            job_folder.check_unlocked(tmp_path, "lock")
-    assert not list(tmp_path.iterdir())
-
-
-def test_what_a_killed_process_had_made_of_a_folder_is_swept_and_what_another_makes_is_left(tmp_path) -> None:
-    left, held = (tmp_path / f".run.{number}.part" for number in (1, 2))
-    for part in (left, held):
-        part.mkdir()
-        (part / "spec.toml").write_text("half")
-    handle = os.open(held, os.O_RDONLY)
-    fcntl.flock(handle, fcntl.LOCK_EX)
-    RunFolder.create(tmp_path / "run", SPEC, BUNDLE)
-    os.close(handle)
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == [held.name, "run"]
-
-
-def test_the_rows_of_a_run_are_its_own(tmp_path: Path, make_scene: SceneMaker) -> None:
-    folder = record(tmp_path / "one", make_scene(), random_rows(100), evaluations=100)
-    with folder.journal() as journal:
-        only = provenance(folder, journal)
-    assert (only.run, only.rows, only.spec) == ("one", range(100), folder.spec)

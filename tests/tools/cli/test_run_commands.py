@@ -17,8 +17,7 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.search.registry import check_spec
-from qdgrasp_coordinator.storage.journal_schema import JournalIdentity
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages

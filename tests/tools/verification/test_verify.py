@@ -12,7 +12,7 @@ from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue
 from qdgrasp_coordinator.storage.engine_table import read_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.journal_slice import JournalSlice
+from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.process import Stop
