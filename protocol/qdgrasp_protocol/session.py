@@ -382,8 +382,6 @@ def silence_of(endpoint: Endpoint) -> str:
 class NotListening(EndpointError):
     """A router cannot listen on an endpoint, by an error of zenoh."""
 
-    TAKEN = re.compile(r"Cannot listen on \S+: address already in use")
-
     def __init__(self, endpoint: str, error: str) -> None:
         why = SYSTEM_ERROR.search(error)
         if why:
@@ -392,11 +390,6 @@ class NotListening(EndpointError):
             )
         else:
             super().__init__(f"Cannot listen on {endpoint}: zenoh says '{clean_zenoh_error(error)}'.")
-
-    @classmethod
-    def is_of_taken_port(cls, sentence: str) -> bool:
-        """True if the sentence of such an error says that another process has the port."""
-        return bool(cls.TAKEN.match(sentence))
 
 
 def clean_zenoh_error(error: str) -> str:

@@ -193,16 +193,6 @@ class ProcessSupervisor:
             if child.restart_at is not None and child.restart_at <= now:
                 child.start(now)
 
-    def restart_others(self, name: str) -> None:
-        """Start all running processes but one again, with new arguments."""
-        others = [self._children[other] for other in self.pids() if other != name]
-        for child in others:
-            child.process.terminate()
-        leave_by = time.monotonic() + self._grace
-        for child in others:
-            _end_by(child.process, leave_by)
-            child.start(time.monotonic())
-
     def note_progress(self) -> None:
         """Note that the work of all got further: deaths count anew."""
         for child in self._children.values():
@@ -234,30 +224,21 @@ class ProcessSupervisor:
         """True once the grace after a request to stop is over."""
         return self._leave_by is not None and now >= self._leave_by
 
-    def stop(self, number: int = signal.SIGTERM) -> None:
-        """End every process by a signal, then, after the grace, by SIGKILL."""
-        if self._leave_by is None:
-            self.request_stop(number)
-        for process in self._running().values():
-            _end_by(process, self._leave_by or 0.0)
-        for child in self._children.values():
-            if child.process.stdin is not None:
-                child.process.stdin.close()
-
     def __enter__(self) -> "ProcessSupervisor":
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
-
-
-def _end_by(process: subprocess.Popen[bytes], time_limit: float) -> None:
-    """Wait for the end of a process until a time, then kill it."""
-    try:
-        process.wait(max(0.0, time_limit - time.monotonic()))
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
+        if self._leave_by is None:
+            self.request_stop()
+        for child in self._children.values():
+            process = child.process
+            try:
+                process.wait(max(0.0, (self._leave_by or 0.0) - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            if process.stdin is not None:
+                process.stdin.close()
 
 
 def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:

@@ -78,21 +78,6 @@ def free_endpoint(credentials: Credentials | None = None) -> str:
     raise EndpointError(f"No port is free on {default.host}.")
 
 
-def free_ports(endpoint: str) -> str:
-    """Return an endpoint, or several, with a free port in place of each that is taken."""
-    found = []
-    for place in parse_endpoints(endpoint):
-        text = place.text
-        if place.host:
-            family, *_, address = socket.getaddrinfo(place.host, place.port, type=socket.SOCK_STREAM)[0]
-            for port in (place.port, 0):
-                with suppress(OSError), socket.create_server((*address[:1], port), family=family) as server:
-                    text = text.replace(f":{place.port}", f":{server.getsockname()[1]}")
-                    break
-        found.append(text)
-    return ",".join(found)
-
-
 class ZenohBus(Bus):
     """A zenoh session; opened by `connect` or `router`."""
 

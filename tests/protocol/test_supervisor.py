@@ -95,15 +95,6 @@ def test_a_process_that_dies_again_and_again_raises_with_its_last_words_until_th
         processes.restart_later(death, now=0.0)
 
 
-def test_all_running_processes_but_one_are_started_again(processes):
-    kept, moved = start(processes, SLEEP, "kept"), start(processes, SLEEP, "moved")
-    start(processes, "pass", "left").wait(PATIENCE)
-    processes.restart_others("kept")
-    assert kept.poll() is None
-    assert moved.poll() is not None
-    assert set(processes.pids()) == {"kept", "moved"}
-
-
 def test_a_process_takes_no_certificates_but_those_that_it_is_given(processes, monkeypatch):
     monkeypatch.setenv(SECURITY_VARIABLE, "security")
     asked = start(processes, f"import os; os._exit(5 if {SECURITY_VARIABLE!r} in os.environ else 4)")

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import socket
 import subprocess
 from pathlib import Path
 
@@ -24,7 +23,6 @@ from tests.system.commands import (
     pids,
     processes_of,
     rows_recorded,
-    says,
     stop,
 )
 
@@ -54,27 +52,6 @@ def test_who_is_killed_is_started_again_and_goes_on_from_the_journal(qdgrasp, lo
     _, err = end_of(process)
     assert f"{roles[0]} was killed by SIGKILL; it is started again" in err
     assert qdgrasp.digest("run") == long_digest
-
-
-@pytest.mark.slow
-def test_a_port_that_another_program_takes_meanwhile_does_not_end_the_run(qdgrasp, long_digest):
-    process, folder = start(qdgrasp, 20)
-    before = Endpoint.parse(JobFolder(folder).endpoint)
-    with held(*pids(process, "worker")):
-        kill(pids(process, "coordinator")[0])
-        with wait_for(lambda: server_at(before.port), "the port"):
-            says(process, "as another program took the port")
-            assert JobFolder(folder).endpoint not in (None, before.text)
-            end_of(process)
-    assert qdgrasp.digest("run") == long_digest
-
-
-def server_at(port: int) -> socket.socket | None:
-    """Listen on a port, if it is free."""
-    try:
-        return socket.create_server((HOST, port))
-    except OSError:
-        return None
 
 
 @pytest.mark.slow

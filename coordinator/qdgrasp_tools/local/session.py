@@ -21,8 +21,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.supervisor import ProcessSupervisor
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import ProgressDisplay
-from qdgrasp_tools.local.restart_policy import GRACE, JobRestarts, start_worker
-from qdgrasp_tools.local.supervisor import LocalJobConfig
+from qdgrasp_tools.local.supervisor import GRACE, JobRestarts, LocalJobConfig, start_worker
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class LocalSession:
     def start_workers(self, count: int) -> None:
         """Start so many workers."""
         for number in range(count):
-            start_worker(self.processes, number, lambda: self._connection_flags)
+            start_worker(self.processes, number, self._connection_flags)
 
     def coordinate(
         self,

@@ -5,8 +5,6 @@ The same processes, commands and messages as on many machines; there is no secon
 
 import os
 import shlex
-import signal
-import threading
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack, suppress
@@ -18,18 +16,24 @@ from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE, check_engine
-from qdgrasp_protocol.errors import EXTRAS, EndpointError, InputError, MessageError, check_packages
+from qdgrasp_protocol.errors import (
+    EXTRAS,
+    EndedEarly,
+    EndpointError,
+    InputError,
+    MessageError,
+    check_packages,
+)
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_protocol.supervisor import ProcessSupervisor
-from qdgrasp_protocol.zenoh_bus import ZenohBus, free_ports
+from qdgrasp_protocol.supervisor import ProcessExit, ProcessSupervisor
+from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import ProgressDisplay
-from qdgrasp_tools.local.restart_policy import COORDINATOR, GRACE, JobRestarts, start_worker
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
-SESSION_SECONDS = 10.0  # seconds that a coordinator which listens may take to open a session
+SESSION_SECONDS = 2.0  # seconds that one try to open a session at the coordinator may take
 
 
 @dataclass(frozen=True)
@@ -86,44 +90,73 @@ def check_engines(specs: Iterable[RunSpec]) -> None:
             check_packages(f"The engine {DEVICE_ENGINE}", *EXTRAS["gpu"])
 
 
-News = Sample | EndpointError | None
-"""Input of a supervisor: a job's figures, a session that could not be opened, or None, a signal."""
+GRACE = 1.2
+"""Seconds that a command's processes have to stop, of the two of the command itself.
+
+One that takes longer is killed, which loses nothing but its time.
+"""
+COORDINATOR = "coordinator"
 
 
-class FiguresSession:
-    """The session that hears a job's figures, in a thread: opening it holds up no restart."""
+def start_worker(processes: ProcessSupervisor, number: int, flags: Iterable[str]) -> None:
+    """Start a worker that leaves before it would be killed."""
+    grace = ["--grace", f"{processes.children_grace:g}"]
+    processes.start(f"worker-{number}", "qdgrasp_worker.cli", [*flags, *grace])
 
-    def __init__(self, job: str, credentials: Credentials | None, news: "SimpleQueue[News]") -> None:
-        self._figures = Keys(job).stat("job")
-        self._credentials = credentials
-        self._news = news
-        self._end = Stop()
-        self._thread: threading.Thread | None = None
 
-    def open(self, endpoint: str) -> None:
-        """Open the session at a router, in place of the one before; a failure is put into the news."""
-        self.close()
-        self._end = Stop()
-        self._thread = threading.Thread(target=self._hear, args=[endpoint, self._end], daemon=True)
-        self._thread.start()
+class JobRestarts:
+    """Starts processes of a job again that died.
 
-    def close(self) -> None:
-        """Close the session, or stop opening it."""
-        self._end.set(signal.SIGTERM)
-        if self._thread is not None:
-            self._thread.join()
+    A process that was killed, or that ended without a sentence, is started again after a while. A coordinator
+    that ended with a sentence has decided to; the job then ends with that sentence.
+    """
 
-    def _hear(self, endpoint: str, end: Stop) -> None:
-        over: SimpleQueue[None] = SimpleQueue()
-        end.tell(lambda: over.put(None))
-        with suppress(SystemExit):
-            try:
-                bus = ZenohBus.connect(endpoint, SESSION_SECONDS, end, self._credentials)
-            except EndpointError as error:
-                self._news.put(error)
-                return
-            with bus, bus.subscribe(self._figures, self._news.put):
-                over.get()
+    def __init__(self, processes: ProcessSupervisor, display: ProgressDisplay) -> None:
+        self._processes = processes
+        self._display = display
+        self._most = -1
+        self.is_done = False
+        """The coordinator ended with its job complete, or after the seconds that it was given."""
+
+    def note_progress(self, figures: JobStatus) -> None:
+        """Record the job's figures; progress resets the counts of deaths."""
+        if figures.evaluations + figures.trials > self._most:
+            self._most = figures.evaluations + figures.trials
+            self._processes.note_progress()
+
+    def check(self, now: float) -> None:
+        """Take the deaths since the last call, and start the processes that are due.
+
+        Raises InputError if a process ended with a sentence that names bad input or environment, and
+        EndedEarly if the coordinator ended by decision or order, or a process dies again and again.
+        """
+        for death in self._processes.exits():
+            if death.name == COORDINATOR:
+                self._on_coordinator(death, now)
+            elif death.exit_code == 0:
+                self._display.say(f"{death.name} has left")  # a worker that was asked to
+            elif not self.is_done:
+                if death.exit_code == InputError.exit_code and not self._processes.is_dead(COORDINATOR):
+                    raise InputError(death.words or _silence(death))
+                self._restart(death, now)
+        self._processes.restart_due(now)
+
+    def _on_coordinator(self, death: ProcessExit, now: float) -> None:
+        if death.exit_code == InputError.exit_code:
+            raise InputError(death.words or _silence(death))
+        if death.words:
+            raise EndedEarly(death.words)
+        self.is_done = death.exit_code == 0
+        if not self.is_done:
+            self._restart(death, now)
+
+    def _restart(self, death: ProcessExit, now: float) -> None:
+        pause = self._processes.restart_later(death, now)
+        self._display.say(f"{death.name} {death.description}; it is started again in {pause:.1f} s")
+
+
+def _silence(death: ProcessExit) -> str:
+    return f"The {death.name} {death.description}, and its log does not say why: it is gone, or empty."
 
 
 class Supervisor:
@@ -136,16 +169,11 @@ class Supervisor:
         self._config = config
         self._display = display
         self._stop = stop
-        self._news: SimpleQueue[News] = SimpleQueue()
-        credentials = Credentials.find(config.listen.security, Role.MONITOR)
-        self._session = FiguresSession(folder.name, credentials, self._news)
+        self._news: SimpleQueue[Sample | None] = SimpleQueue()  # Figures of the job; None: a signal
+        self._credentials = Credentials.find(config.listen.security, Role.MONITOR)
         self._listen = config.listen
-        self._endpoint: str | None = None  # Where the members are told that the coordinator listens
-        self._near = ""  # The same, for processes of this machine
-        self._turn = 0  # Counts the starts of the coordinator
-        self._session_turn = 0  # In which the session was opened
-        self._has_failed = False  # The session could not be opened, and is to be opened again
         self._began = time.monotonic()
+        self._near = ""  # Where processes of this machine find the coordinator; empty: it does not listen yet
         self._is_paused = False
 
     def run(self) -> None:
@@ -159,20 +187,37 @@ class Supervisor:
             stack.enter_context(self._folder.supervise())
             stack.callback(self._folder.forget_endpoint)
             processes = stack.enter_context(ProcessSupervisor(self._folder.logs, GRACE))
-            stack.callback(self._session.close)
-            stack.callback(processes.request_stop)  # while the session is being closed
-            restarts = JobRestarts(processes, self._display, self._change_port)
+            restarts = JobRestarts(processes, self._display)
             processes.start(COORDINATOR, "qdgrasp_tools.cli.coordinator_process", self._next_coordinator)
-            while not (self._stop.is_set or restarts.is_done):
-                self._folder.check_there()
-                restarts.check(time.monotonic())
-                self._follow_endpoint(processes)
+            bus: ZenohBus | None = None
+            while self._goes_on(restarts):
+                if not self._near and (endpoint := self._folder.endpoint) is not None:
+                    self._start_members(processes, endpoint)
+                if self._near and bus is None and (bus := self._opened_session()) is not None:
+                    stack.enter_context(bus)
+                    stack.enter_context(bus.subscribe(Keys(self._folder.name).stat("job"), self._news.put))
+                    stack.callback(processes.request_stop)  # while the session is being closed
                 with suppress(Empty):
-                    self._take(self._news.get(timeout=LOOK_INTERVAL), processes, restarts)
+                    self._take(self._news.get(timeout=LOOK_INTERVAL), restarts)
+
+    def _goes_on(self, restarts: JobRestarts) -> bool:
+        """Take deaths, and start processes again; False once the job is over."""
+        if not self._stop.is_set:
+            self._folder.check_there()
+            restarts.check(time.monotonic())
+        return not (self._stop.is_set or restarts.is_done)
+
+    def _opened_session(self) -> ZenohBus | None:
+        """Open the session that hears the job's figures, from this coordinator and later ones.
+
+        None where that fails: the recorder, which fails for the same reason, ends the job with it.
+        """
+        with suppress(EndpointError, SystemExit):
+            return ZenohBus.connect(self._near, SESSION_SECONDS, self._stop, self._credentials)
+        return None
 
     def _next_coordinator(self) -> list[str]:
         """Forget where the last coordinator listened; return the arguments of the next."""
-        self._turn += 1
         self._folder.forget_endpoint()
         arguments = [str(self._folder.path), *self._listen.flags, *self._listen.security_flags]
         if self._config.batch_size:
@@ -184,38 +229,6 @@ class Supervisor:
             arguments.append("--paused")
         return arguments
 
-    def _change_port(self) -> bool:
-        """Choose free ports in place of those that another program took meanwhile.
-
-        False where the coordinator has not listened yet: its ports are those that were asked for.
-        """
-        if self._endpoint is None:
-            return False
-        self._listen = replace(self._listen, endpoint=free_ports(self._endpoint))
-        return True
-
-    def _follow_endpoint(self, processes: ProcessSupervisor) -> None:
-        """Start the members when the coordinator listens, and again when it does so elsewhere."""
-        endpoint = self._folder.endpoint
-        if endpoint is None or (endpoint == self._endpoint and not self._has_failed):
-            return
-        near = parse_endpoints(endpoint)[0].from_here
-        if self._endpoint is None:
-            self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
-            self._say_commands(endpoint)
-            self._near = near
-            self._start_members(processes)
-        elif endpoint != self._endpoint:
-            self._display.say(
-                f"listening on {endpoint} now, as another program took the port; recorder and workers of "
-                "this machine are started again, workers elsewhere have to be"
-            )
-            self._near = near
-            processes.restart_others(COORDINATOR)
-        self._endpoint, self._session_turn, self._has_failed = endpoint, self._turn, False
-        self._listen = replace(self._listen, endpoint=endpoint)  # where a later coordinator is found too
-        self._session.open(near)
-
     def _say_commands(self, endpoint: str) -> None:
         """Tell by which commands the job is watched, and joined by more workers."""
         flags = " ".join(map(shlex.quote, self._listen.security_flags))
@@ -224,28 +237,26 @@ class Supervisor:
         join = f"qdgrasp-worker --connect {reached} --job {self._folder.name} {flags}".rstrip()
         self._display.say(f"watch it by `{watch}`, add workers by `{join}`")
 
-    def _start_members(self, processes: ProcessSupervisor) -> None:
-        """Start the recorder and the workers, which connect to the endpoint of that time."""
-        recorder = ["--out", str(self._folder.path)]
-        module = "qdgrasp_tools.cli.recorder_process"
-        processes.start("recorder", module, lambda: [*self._connection_flags, *recorder])
+    def _start_members(self, processes: ProcessSupervisor, endpoint: str) -> None:
+        """Start the recorder and the workers at the endpoint of the coordinator, now and later."""
+        self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
+        self._say_commands(endpoint)
+        self._listen = replace(self._listen, endpoint=endpoint)
+        self._near = parse_endpoints(endpoint)[0].from_here
+        recorder = [*self._connection_flags, "--out", str(self._folder.path)]
+        processes.start("recorder", "qdgrasp_tools.cli.recorder_process", recorder)
         for number in range(self._config.workers):
-            start_worker(processes, number, lambda: self._connection_flags)
+            start_worker(processes, number, self._connection_flags)
 
     @property
     def _connection_flags(self) -> list[str]:
         return ["--connect", self._near, "--job", self._folder.name, *self._listen.security_flags]
 
-    def _take(self, news: News, processes: ProcessSupervisor, restarts: JobRestarts) -> None:
-        """Show figures; raise the error of a session at a coordinator that is there all the time."""
-        if isinstance(news, Sample):
-            with suppress(MessageError):
+    def _take(self, news: Sample | None, restarts: JobRestarts) -> None:
+        """Show the figures that came, if they are some."""
+        with suppress(MessageError):
+            if news is not None:
                 figures = from_json(news.payload, JobStatus)
                 self._is_paused = figures.state == "paused"
                 restarts.note_progress(figures)
                 self._display.show(figures)
-        elif isinstance(news, EndpointError):
-            restarts.check(time.monotonic())  # the coordinator's end says more
-            if self._turn == self._session_turn and not processes.is_dead(COORDINATOR):
-                raise news
-            self._has_failed = True

@@ -35,7 +35,7 @@ from qdgrasp_protocol.replay_messages import (
 )
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.supervisor import ProcessExit, ProcessSupervisor
-from qdgrasp_tools.local.restart_policy import GRACE
+from qdgrasp_tools.local.supervisor import GRACE
 from qdgrasp_tools.report.row_report import row_at
 
 

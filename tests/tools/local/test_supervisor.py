@@ -1,82 +1,170 @@
-"""Start and restart of the processes of a job on one machine."""
+"""Start, watch and restart of the processes of a job on one machine."""
 
-import re
-import socket
-from collections.abc import Callable
+import signal
+from math import inf
 from pathlib import Path
+from typing import Any
 
 import pytest
+from tests.tools.monitor.sample_jobs import figures
 
-from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_protocol.errors import EndpointError, InputError
+from qdgrasp_protocol.errors import EndedEarly, EndpointError, InputError
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.supervisor import ProcessExit, ProcessSupervisor
+from qdgrasp_protocol.supervisor import (
+    MOST_DEATHS,
+    MOST_OUTSIDE_DEATHS,
+    ChildProcess,
+    ProcessExit,
+    ProcessSupervisor,
+    RestartPolicy,
+)
+from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local import supervisor
-from qdgrasp_tools.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
+from qdgrasp_tools.local.supervisor import JobRestarts, ListenConfig, LocalJobConfig, Supervisor
+
+
+class Staff(ProcessSupervisor):
+    """Processes by name that die when they are told to, and start when they are due; and a display."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.started: list[str] = []
+        self.said: list[str] = []
+        self.now = 0.0
+        self.watch = JobRestarts(self, self)  # type: ignore[arg-type]
+        self._dead: list[ProcessExit] = []
+        for name in ("coordinator", "recorder", "worker-0", "worker-1"):
+            self._children[name] = StartedChild(name, self)
+
+    def dies(self, name: str, code: int, words: str = "") -> None:
+        """A process dies, and those that are due are started again."""
+        self._children[name].restart_at = inf
+        self._dead = [ProcessExit(name, code, words)]
+        self.watch.check(self.now)
+
+    def waits(self, seconds: float) -> None:
+        self.now += seconds
+        self.watch.check(self.now)
+
+    def exits(self) -> list[ProcessExit]:
+        dead, self._dead = self._dead, []
+        return dead
+
+    def say(self, sentence: str) -> None:
+        self.said.append(sentence)
+
+
+class StartedChild(ChildProcess):
+    """A child that starts no process."""
+
+    def __init__(self, name: str, staff: Staff) -> None:
+        super().__init__(name, "", list, None, None, RestartPolicy())
+        self._staff = staff
+
+    def start(self, now: float) -> None:
+        self.restart_at = None
+        self._staff.started.append(self.name)
+
+
+@pytest.fixture
+def staff() -> Staff:
+    return Staff()
+
+
+@pytest.mark.parametrize("code", [-9, 1, 143])
+def test_a_coordinator_that_ended_without_a_word_is_started_again_after_a_while(staff, code) -> None:
+    staff.dies("coordinator", code)
+    assert (staff.started, staff.watch.is_done) == ([], False)
+    staff.waits(0.6)
+    staff.waits(60)
+    assert staff.started == ["coordinator"]
+    assert "it is started again in 0.5 s" in staff.said[0]
+
+
+def test_a_coordinator_that_is_done_ends_the_watch(staff: Staff) -> None:
+    staff.dies("coordinator", 0)
+    assert staff.watch.is_done
+    staff.dies("worker-0", -9)
+    staff.waits(60)
+    assert staff.started == []
+
+
+@pytest.mark.parametrize(
+    ("code", "error"), [(0, EndedEarly), (1, EndedEarly), (2, InputError), (3, EndedEarly)]
+)
+def test_a_coordinator_that_ended_with_a_sentence_ends_the_job_with_it(code: int, error: type) -> None:
+    with pytest.raises(error, match=r"^Job 'mugs' was cancelled\.$") as raised:
+        Staff().dies("coordinator", code, "Job 'mugs' was cancelled.")
+    assert raised.value.exit_code > 0  # the job is not done
+
+
+@pytest.mark.parametrize("name", ["coordinator", "recorder", "worker-1"])
+@pytest.mark.parametrize(
+    ("number", "most"), [(signal.SIGSEGV, MOST_DEATHS), (signal.SIGKILL, MOST_OUTSIDE_DEATHS)]
+)
+def test_who_dies_again_and_again_ends_the_job_later_if_killed_by_others(staff, name, number, most) -> None:
+    for _ in range(most):
+        staff.dies(name, -number)
+        staff.waits(20)
+    with pytest.raises(EndedEarly, match=f"The {name} died {most + 1} times .* was killed by {number.name}"):
+        staff.dies(name, -number)
+
+
+def test_who_dies_while_the_job_goes_on_is_always_started_again(staff: Staff) -> None:
+    for n in range(10 * MOST_DEATHS):
+        staff.watch.note_progress(figures(evaluations=n, rate=1.0))
+        staff.dies("coordinator", -9)
+        staff.waits(20)
+    assert len(staff.started) == 10 * MOST_DEATHS
+
+
+def test_a_worker_that_ended_well_was_asked_to_leave_and_stays_away(staff: Staff) -> None:
+    staff.dies("worker-0", 0)
+    staff.waits(60)
+    assert (staff.started, staff.said) == ([], ["worker-0 has left"])
+
+
+def test_a_member_that_names_bad_input_ends_the_job_unless_the_coordinator_is_away(staff: Staff) -> None:
+    with pytest.raises(InputError, match="Another platform"):
+        staff.dies("worker-0", 2, "Another platform.")
+    staff.dies("coordinator", -9)
+    staff.dies("worker-0", 2, "Nothing answers at tcp/127.0.0.1:1.")
+    staff.waits(0.6)
+    assert set(staff.started) == {"worker-0", "coordinator"}
+
 
 CHOSEN = "tcp/127.0.0.1:50123"
 """Endpoint of a coordinator that was not given one."""
 
 
-KILLED, DONE = (-9, ""), (0, "")
-TAKEN = (2, "Cannot listen on tcp/127.0.0.1:1: address already in use; name another endpoint with --listen.")
+class ListeningJob(ProcessSupervisor):
+    """Processes of which the coordinator listens, is killed once the others are there, and then is done."""
 
-
-class Staff(ProcessSupervisor):
-    """Processes by name; each coordinator ends as `ends` says, the first when the others are there."""
-
-    def __init__(self, folder: JobFolder, *ends: tuple[int, str]) -> None:
+    def __init__(self, folder: JobFolder) -> None:
         super().__init__(None, 0.75)
         self._folder = folder
-        self._ends = ends
-        self._ended = 0
-        self._arguments: dict[str, Callable[[], list[str]]] = {}
+        self._ends = [-9, 0]
         self.coordinators: list[list[str]] = []
         self.others: list[list[str]] = []
-        self.moved: list[str] = []
 
-    def __call__(self, *_: object) -> "Staff":
-        return self
-
-    def start(self, name: str, _module: str, arguments: Callable[[], list[str]]) -> None:  # type: ignore[override]
-        self._arguments[name] = arguments
+    def start(self, name: str, _module: str, arguments: Any, core: int | None = None) -> None:
         if name != "coordinator":
-            self.others.append(list(arguments()))
+            self.others.append(arguments)
             return
+        self._arguments = arguments
         self.coordinators.append(arguments())
-        if self._ends[self._ended] != TAKEN:
-            self._folder.write_endpoint(after("--listen", self.coordinators[-1]) or CHOSEN)
-
-    def restart_others(self, _name: str) -> None:
-        self.moved += [after("--connect", list(self._arguments["recorder"]())) or ""]
+        self._folder.write_endpoint(after("--listen", self.coordinators[-1]) or CHOSEN)
 
     def exits(self) -> list[ProcessExit]:
-        is_first = not self.others and self._ends[0] != TAKEN
-        if is_first or self._ended == len(self.coordinators):
-            return []
-        self._ended += 1
-        return [ProcessExit("coordinator", *self._ends[self._ended - 1])]
-
-    def is_dead(self, name: str) -> bool:
-        return name == "coordinator" and self._ended == len(self.coordinators)
+        return [ProcessExit("coordinator", self._ends.pop(0))] if self.others and self._ends else []
 
     def restart_later(self, death: ProcessExit, now: float) -> float:
         return 0.0
 
     def restart_due(self, now: float) -> None:
-        if self.is_dead("coordinator") and self._ended < len(self._ends):
-            self.start("coordinator", "", self._arguments["coordinator"])
-
-
-class Silence:
-    """A display that shows nothing."""
-
-    def show(self, figures: JobStatus) -> None:
-        pass
-
-    def say(self, sentence: str) -> None:
-        pass
+        if len(self._ends) == 1 == len(self.coordinators):
+            self.start("coordinator", "", self._arguments)
 
 
 def after(flag: str, arguments: list[str]) -> str | None:
@@ -94,87 +182,15 @@ def after(flag: str, arguments: list[str]) -> str | None:
 def test_a_coordinator_that_is_started_again_listens_where_the_first_did(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, listen: str | None, again: str, near: str
 ) -> None:
-    staff = carries_out(tmp_path, monkeypatch, listen, KILLED, DONE)
-    assert [after("--listen", one) for one in staff.coordinators] == [listen, again]
-    assert [after("--connect", one) for one in staff.others] == [near, near]
-    assert [after("--grace", one) for one in staff.others] == [None, "0.25"]  # a recorder, a worker
-    assert staff.moved == []
+    folder = JobFolder.create(tmp_path / "job", "mugs")
+    job = ListeningJob(folder)
 
+    def refuse(*_: object) -> None:
+        raise EndpointError("Nothing answers.")
 
-class Session:
-    """A session that hears no figures; `open` is called with its endpoint and the supervisor's news."""
-
-    def __init__(self, opened: Callable[[str, Callable], object]) -> None:
-        self._opened = opened
-
-    def __call__(self, _job: object, _credentials: object, news: object) -> "Session":
-        self._put = news.put  # type: ignore[attr-defined]
-        return self
-
-    def open(self, endpoint: str) -> None:
-        self._opened(endpoint, self._put)
-
-    def close(self) -> None:
-        pass
-
-
-def carries_out(
-    home: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    listen: str | None,
-    *ends: tuple[int, str],
-    opened: Callable[[str, Callable], object] = lambda *_: None,
-    display: Silence | None = None,
-) -> Staff:
-    """Carry out a job whose coordinators end so."""
-    folder = JobFolder.create(home / "job", "mugs")
-    staff = Staff(folder, *ends)
-    monkeypatch.setattr(supervisor, "ProcessSupervisor", staff)
-    monkeypatch.setattr(supervisor, "FiguresSession", Session(opened))
-    config = LocalJobConfig(1, listen=ListenConfig(listen))
-    Supervisor(folder, config, display or Silence(), Stop()).run()
-    return staff
-
-
-def test_a_job_whose_port_was_taken_meanwhile_goes_on_at_another_one(tmp_path, monkeypatch) -> None:
-    opened: list[str] = []
-    said: list[str] = []
-    display = Silence()
-    display.say = said.append  # type: ignore[method-assign]
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        port = other.getsockname()[1]
-        asked = f"tcp/127.0.0.1:{port}"
-        staff = carries_out(
-            tmp_path,
-            monkeypatch,
-            asked,
-            KILLED,
-            TAKEN,
-            DONE,
-            opened=lambda at, _: opened.append(at),
-            display=display,
-        )
-    first, second, third = (after("--listen", one) for one in staff.coordinators)
-    assert (first, second) == (asked, asked)
-    assert third != asked
-    assert re.fullmatch(r"tcp/127\.0\.0\.1:[1-9]\d+", third or "")
-    assert staff.moved == [third]
-    assert opened == [asked, third]
-    assert any(f"listening on {third} now, as another program took the port" in line for line in said)
-
-
-def test_a_port_that_is_taken_from_the_start_ends_the_job(tmp_path, monkeypatch) -> None:
-    with pytest.raises(InputError, match="address already in use"):
-        carries_out(tmp_path, monkeypatch, "tcp/127.0.0.1:1", TAKEN)
-
-
-def test_a_session_that_failed_at_a_coordinator_that_died_is_opened_at_the_next(tmp_path, monkeypatch):
-    opened: list[str] = []
-
-    def fail_once(endpoint: str, put: Callable) -> None:
-        opened.append(endpoint)
-        if len(opened) == 1:
-            put(EndpointError("Nothing answers."))
-
-    carries_out(tmp_path, monkeypatch, None, KILLED, DONE, opened=fail_once)
-    assert opened == [CHOSEN, CHOSEN]
+    monkeypatch.setattr(supervisor, "ProcessSupervisor", lambda *_: job)
+    monkeypatch.setattr(ZenohBus, "connect", refuse)
+    Supervisor(folder, LocalJobConfig(1, listen=ListenConfig(listen)), Staff(), Stop()).run()  # type: ignore[arg-type]
+    assert [after("--listen", one) for one in job.coordinators] == [listen, again]
+    assert [after("--connect", one) for one in job.others] == [near, near]
+    assert [after("--grace", one) for one in job.others] == [None, "0.25"]  # a recorder, a worker
