@@ -16,7 +16,8 @@ from qdgrasp_assets.object_model import LATERAL_FRICTION
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_protocol.rows import SHAKES as NUMBER_OF_SHAKES
 from qdgrasp_protocol.rows import TRIALS, Outcome
-from qdgrasp_worker.engines.bullet import Bullet, Motor
+from qdgrasp_worker.engines.bullet import Bullet
+from qdgrasp_worker.engines.bullet_world import Motor
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, MIXTURE, PAPER, ROBUST, SHAKES, TARGET_STEPS
 from qdgrasp_worker.world import HAND_FRICTION
 
@@ -79,9 +80,9 @@ def test_a_number_of_the_page_is_the_code_s(place: str, words: str) -> None:
 
 def test_steps_solver_and_friction_of_a_hand_are_bullet_s_own() -> None:
     bullet = Bullet()
-    values = pybullet.getPhysicsEngineParameters(physicsClientId=bullet._client)
-    body = pybullet.createMultiBody(physicsClientId=bullet._client)
-    friction = pybullet.getDynamicsInfo(body, -1, physicsClientId=bullet._client)[1]
+    values = pybullet.getPhysicsEngineParameters(physicsClientId=bullet.client)
+    body = pybullet.createMultiBody(physicsClientId=bullet.client)
+    friction = pybullet.getDynamicsInfo(body, -1, physicsClientId=bullet.client)[1]
     bullet.close()
     steps = f"steps of 1/{1 / values['fixedTimeStep']:.0f} s, {values['numSolverIterations']} iterations"
     assert steps in ROWS["engine"]

@@ -47,7 +47,7 @@ def shaken(world, shake):
         for step in range(1, TARGET_STEPS + 1):
             world.step()
             if step % 17 == 0:
-                places += world._bullet.joints(world._hand.body, [index])
+                places += world._hand.positions([index])
     return places
 
 
@@ -71,8 +71,7 @@ def test_a_reset_world_has_forgotten_contacts_motors_and_motion(world):
     def trace():
         world.reset(TrialSetup(touching), touching.joints)
         close_hand(world)
-        bullet, body = world._bullet, world._target.body
-        return world.contacts(), world.finger_positions(), bullet.position(body), bullet.velocity(body)
+        return world.contacts(), world.finger_positions(), world.object_pose(), world._target.velocity
 
     first = trace()
     assert first[0], "the pose was to touch the object"
@@ -94,9 +93,9 @@ def test_loading_leaves_no_files_and_no_words_on_the_console(cube, tmp_path, mon
     ("change", "message"),
     [
         ({"finger_links": ("thumb",)}, r"no finger link 'thumb'. It has: .*panda_leftfinger"),
-        ({"meshes": {}}, r"Bullet cannot load 'body.urdf'"),
+        ({"meshes": {}}, r"Bullet cannot load a body"),
         ({"meshes": {"../escape.stl": b""}}, r"'../escape.stl' does not"),
-        ({"urdf": "<robot>"}, r"Bullet cannot load 'body.urdf'"),
+        ({"urdf": "<robot>"}, r"Bullet cannot load a body"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else None,
 )

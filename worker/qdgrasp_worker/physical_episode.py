@@ -106,10 +106,6 @@ class PhysicalWorld(GraspWorld):
     def is_on_table(self) -> bool:
         """Return whether the object touches the table."""
 
-    @abstractmethod
-    def object_pose(self) -> tuple[Vector, Quaternion]:
-        """The object's position and quaternion; the hand does not move."""
-
     def look(self) -> PosesNow:
         """The present places of all that can move."""
         return PosesNow(self.finger_positions(), *self.object_pose())

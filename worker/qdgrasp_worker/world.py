@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qdgrasp_assets.geometry.rotation import Floats, conjugate, rotate
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
 from qdgrasp_assets.grippers.hand_geometry import free_posture
-from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_assets.scene import SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
@@ -168,8 +168,19 @@ class GraspWorld(ABC):
         """The contacts of the hand with the object that bear a force, or are about to."""
 
     @abstractmethod
+    def object_pose(self) -> tuple[Vector, Quaternion]:
+        """The object's position [m] and quaternion, world frame."""
+
+    @abstractmethod
+    def base_pose(self) -> tuple[Sequence[float], Sequence[float]]:
+        """Position [m] and quaternion of the hand's base link, world frame."""
+
     def hand_pose(self) -> HandFrame:
         """The hand's base link in the object's frame, as both are now."""
+        position, quaternion = (np.array(part) for part in self.base_pose())
+        origin, turn = (np.array(part) for part in self.object_pose())
+        back = conjugate(turn)
+        return rotate(back, position - origin), multiply(back, quaternion)
 
     @abstractmethod
     def finger_positions(self) -> list[float]:
@@ -216,13 +227,19 @@ class ShakenWorld(GraspWorld):
         `root` is the position of the hand's root then, `radius` the object's about its centre of mass [m].
         """
         boxes = []
-        for i in range(FREE_POSTURES if gripper.free_joints else 1):
-            self.reset(self._away, free_posture(gripper, i / (FREE_POSTURES - 1)))
+        for posture in free_postures(gripper):
+            self.reset(self._away, posture)
             self.close_fingers(NO_SYNERGY)
             for _ in range(CLOSING_STEPS):
                 boxes += self.link_boxes()
                 self.step()
         return SweptBox.around(boxes, root, radius)
+
+
+def free_postures(gripper: SceneGripper) -> list[list[float]]:
+    """Open postures with the free joints all along their ranges."""
+    places = range(FREE_POSTURES if gripper.free_joints else 1)
+    return [free_posture(gripper, i / (FREE_POSTURES - 1)) for i in places]
 
 
 def indices_by_name(kind: str, names: Iterable[str], indices: Mapping[str, int]) -> list[int]:

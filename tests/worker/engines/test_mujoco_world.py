@@ -59,7 +59,7 @@ URDF_OF_A_LINKAGE = """<robot name="hand"><link name="palm"/><link name="one"/><
 
 
 def test_masses_and_moments_are_those_of_bullet(hand_scene):
-    from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld, HandBody, ObjectBody
+    from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld
 
     class UndrivenWorld(BulletPhysicalWorld):
         """A world of Bullet whose links have their own inertia alone."""
@@ -69,14 +69,11 @@ def test_masses_and_moments_are_those_of_bullet(hand_scene):
 
     model = SceneModel(hand_scene, PHYSICS.time_step)
     with closing(UndrivenWorld(hand_scene, PHYSICS)) as world:
-        bullet, hand, target = world._bullet, world._hand, world._target
-        assert isinstance(hand, HandBody)
-        assert isinstance(target, ObjectBody)
-        for index, link in enumerate(bullet.links(hand.body)):
-            mass, moments = bullet.inertia(hand.body, index)
+        for index, link in enumerate(world._hand.links):
+            mass, moments = world._hand.inertia(index)
             assert model.links[link.link].mass == pytest.approx(mass)
             assert model.links[link.link].moments == pytest.approx(moments, rel=2e-3, abs=1e-12)
-        assert model.moments == pytest.approx(bullet.inertia(target.body)[1], rel=1e-4)
+        assert model.moments == pytest.approx(world._target.inertia()[1], rel=1e-4)
 
 
 def test_the_reach_of_joints_is_that_of_bullet(hand_scene):
@@ -85,11 +82,9 @@ def test_the_reach_of_joints_is_that_of_bullet(hand_scene):
     model = SceneModel(hand_scene, PHYSICS.time_step)
     opened = {joint.name: joint.opened for joint in hand_scene.gripper.joints}
     with closing(bullet_world.BulletPhysicalWorld(hand_scene, PHYSICS)) as world:
-        bullet, hand = world._bullet, world._hand
-        links = bullet.links(hand.body)
-        world._place_away(hand_scene.gripper, world.opened)
-        for index, joint in zip(hand.fingers, model.joints, strict=True):
-            expected = bullet_world.reach_of(bullet, hand, index, links)
+        world._place_away(world.opened)
+        for index, joint in zip(world._hand.fingers, model.joints, strict=True):
+            expected = bullet_world.reach_of(world._bullet, world._hand, index)
             assert reach_of(model.robot, model.links, opened, joint) == pytest.approx(expected, abs=2e-3)
 
 

@@ -34,11 +34,10 @@ class TurnedWorld(BulletShakenWorld):
 
     def reset(self, trial, posture):
         super().reset(trial, posture)
-        self._bullet.place(self._hand.body, AWAY_POSITION, UPRIGHT)
-        self._bullet.place(self._target.body, STILL, next(self._turns))
-        self._bullet.detect()
-        self._bullet.place(self._hand.body, trial.pose.position, trial.pose.quaternion)
-        self._bullet.detect()
+        self._hand.place(AWAY_POSITION, UPRIGHT)
+        self._target.place(STILL, next(self._turns))
+        self._bullet.performCollisionDetection()
+        self.place_hand(trial.pose)
 
 
 def poses_of(scene, genomes) -> list[HandPose]:

@@ -1,23 +1,26 @@
-"""Typed access to PyBullet; decisions are made elsewhere.
+"""The one module that imports PyBullet: a world of its own, and the bodies in it.
 
-The one module that imports PyBullet. Poses are of a body's root link; contacts are those of the last
-collision detection. Lengths are metres, quaternions xyzw. Arguments are plain lists: arrays take PyBullet
-twice as long to read.
+Poses are of a body's root link; lengths are metres, quaternions xyzw. Numbers are passed as plain lists:
+arrays take PyBullet twice as long to read.
 """
 
 import ctypes
+import math
 import os
 import sys
-from collections.abc import Iterator, Sequence
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
+from inspect import isbuiltin
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from qdgrasp_assets.scene import Vector
+from qdgrasp_assets.geometry.rotation import facing
+from qdgrasp_assets.scene import RestingPose, SceneGripper, SceneObject, Vector
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_worker.filters.contact_filter import Box
-from qdgrasp_worker.world import STILL, Contact, Quaternion
+from qdgrasp_worker.physical_episode import TABLE_HALF, table_middle
+from qdgrasp_worker.world import HAND_FRICTION, UPRIGHT, Quaternion, indices_by_name
 
 
 @contextmanager
@@ -52,20 +55,51 @@ with quiet():
 BASE = -1  # The index of a body's root link
 BREAKING_THRESHOLD = 0.02
 """Bullet's default distance at which contacts begin and end, as a share of a shape's size."""
+HAND_GROUP, OBJECT_GROUP, TABLE_GROUP = 1, 2, 4
+"""Collision groups: an object meets hands and a table only; a hand meets itself on request."""
+TABLE_AWAY = [0.0, 0.0, -20.0]  # Its place when unused, away from all bodies [m]
+TABLE_URDF = """<robot name="table"><link name="table">
+<inertial><mass value="0"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+<collision><geometry><box size="{sides}"/></geometry></collision>
+</link></robot>
+"""
+OBJECT_URDF = """<robot name="object"><link name="object">
+<inertial><mass value="{mass!r}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+<collision><origin xyz="1e-9 0 0"/><geometry><mesh filename="parts.obj"/></geometry></collision>
+</link></robot>
+"""
+"""Inertia and contacts as in the public code's runs, with the shape off the centre of mass.
+
+Bullet takes the inertia from the collision shape, not from here. The offset of a nanometre keeps Bullet from
+taking a single shape out of its compound: a bare hull of the rubiks cube has 5 % less inertia, other margins,
+and other finger contacts in 6 % of poses.
+"""
 
 
-@dataclass(frozen=True)
-class Motor:
-    """Gains and limits with which a joint is driven to a position."""
+class Bullet:
+    """PyBullet's functions and constants, with a world of their own; closing it twice is allowed.
 
-    force: float
-    """Greatest force or torque [N or Nm]."""
-    max_velocity: float
-    """Greatest velocity [m/s or rad/s]."""
-    position_gain: float = 0.1
-    """Bullet's kp: the share of the error that a step corrects."""
-    velocity_gain: float = 1.0
-    """Bullet's kd."""
+    It has no gravity, and is set up so that the same calls give the same bits.
+    """
+
+    def __init__(self) -> None:
+        with quiet():
+            self.client = pb.connect(pb.DIRECT)
+        for name, function in vars(pb).items():
+            if isbuiltin(function):
+                setattr(self, name, partial(function, physicsClientId=self.client))
+        self.resetSimulation(pb.RESET_USE_SIMPLE_BROADPHASE)
+        # Meshes would be remembered by file name across worlds.
+        self.setPhysicsEngineParameter(deterministicOverlappingPairs=1, enableFileCaching=0)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(pb, name)
+
+    def close(self) -> None:
+        """Leave the world, and free it."""
+        if self.client >= 0:
+            pb.disconnect(physicsClientId=self.client)
+            self.client = -1
 
 
 class BulletLink(NamedTuple):
@@ -74,260 +108,213 @@ class BulletLink(NamedTuple):
     joint: str
     link: str
     moves: bool
-    slides: bool = False
+    slides: bool
     """True for a prismatic joint."""
-    lower: float = 0.0
-    """Lower limit of the joint in the URDF [m or rad]; there is none where it is above `upper`."""
-    upper: float = 0.0
-    parent: int = BASE
+    limits: tuple[float, float]
+    """Lower and upper limit of the joint in the URDF [m or rad]; reversed where there is none."""
+    parent: int
     """The index of the link that carries it."""
 
 
-class ContactForce(NamedTuple):
-    """A point where two bodies touch, with the force there in the last step."""
+class BulletBody:
+    """A body that is loaded from a URDF with its meshes, without visual shapes; its `body` is its index.
 
-    link: int
-    """The first body's link."""
-    point: Vector
-    """Place on the second body [m], world frame."""
-    normal: Vector
-    """Unit normal into the second body, world frame."""
-    distance: float
-    """Distance of the bodies [m]; negative where they penetrate."""
-    force: float
-    """Force along the normal [N]."""
+    Its inertias are those of its collision shapes. Its links pass through each other, or with `meets_itself`
+    only those that a joint connects. All of them are of collision group `group`, and meet the groups in
+    `mask`. An AssetError if Bullet cannot read it, or a mesh that it names.
+    """
 
-
-class Bullet:
-    """A world of its own, without gravity, set up so that the same calls give the same bits."""
-
-    def __init__(self) -> None:
-        with quiet():
-            self._client = pb.connect(pb.DIRECT)
-        pb.resetSimulation(pb.RESET_USE_SIMPLE_BROADPHASE, physicsClientId=self._client)
-        pb.setPhysicsEngineParameter(
-            deterministicOverlappingPairs=1,
-            enableFileCaching=0,  # meshes would be remembered by file name across worlds
-            physicsClientId=self._client,
-        )
-
-    def close(self) -> None:
-        """Leave the world, and free it. Closing twice is allowed."""
-        if self._client >= 0:
-            pb.disconnect(physicsClientId=self._client)
-            self._client = -1
-
-    def set_stepping(self, time_step: float, iterations: int) -> None:
-        """Set the length of a step [s], and how often the solver iterates in it."""
-        pb.setPhysicsEngineParameter(
-            fixedTimeStep=time_step, numSolverIterations=iterations, physicsClientId=self._client
-        )
-
-    def set_contact_recovery(self, share: float) -> None:
-        """Set the share of a penetration that the solver corrects in a step."""
-        pb.setPhysicsEngineParameter(contactERP=share, physicsClientId=self._client)
-
-    def set_breaking_threshold(self, share: float) -> None:
-        """Set the distance at which contacts begin, as a share of a shape's size, process-wide."""
-        pb.setPhysicsEngineParameter(contactBreakingThreshold=share, physicsClientId=self._client)
-
-    def load(self, urdf: Path, *, fixed: bool, meets_itself: bool = False) -> int:
-        """Load a URDF without its visual shapes, with the inertias of its collision shapes.
-
-        Its links pass through each other, or with `meets_itself` only those that a joint connects. An
-        AssetError if Bullet cannot read it, or a mesh that it names.
-        """
+    def __init__(
+        self,
+        bullet: Bullet,
+        urdf: str,
+        meshes: Mapping[str, bytes],
+        *,
+        fixed: bool,
+        group: int,
+        mask: int,
+        meets_itself: bool = False,
+    ) -> None:
+        self._bullet = bullet
         flags = pb.URDF_IGNORE_VISUAL_SHAPES
         if meets_itself:
             flags |= pb.URDF_USE_SELF_COLLISION | pb.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
-        try:
-            with quiet():
-                body: int = pb.loadURDF(
-                    str(urdf), useFixedBase=fixed, flags=flags, physicsClientId=self._client
-                )
-        except pb.error as error:
-            raise AssetError(f"Bullet cannot load '{urdf.name}' or a mesh that it names: {error}") from None
-        return body
+        with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
+            file = write_body(Path(name).resolve(), urdf, meshes)
+            try:
+                with quiet():
+                    self.body: int = bullet.loadURDF(str(file), useFixedBase=fixed, flags=flags)
+            except pb.error as error:
+                raise AssetError(f"Bullet cannot load a body or one of its meshes: {error}") from None
+        self.collide(group, mask)
 
-    def links(self, body: int) -> list[BulletLink]:
-        """All links but the root, by index."""
-        count = pb.getNumJoints(body, physicsClientId=self._client)
-        infos = [pb.getJointInfo(body, i, physicsClientId=self._client) for i in range(count)]
-        return [
+    def collide(self, group: int, mask: int) -> None:
+        """Let all links be of collision group `group` and meet the groups in `mask` only."""
+        for link in range(BASE, self._bullet.getNumJoints(self.body)):
+            self._bullet.setCollisionFilterGroupMask(self.body, link, group, mask)
+
+    @property
+    def pose(self) -> tuple[Vector, Quaternion]:
+        """Position [m] and quaternion of the root link, by its centre of mass."""
+        pose: tuple[Vector, Quaternion] = self._bullet.getBasePositionAndOrientation(self.body)
+        return pose
+
+    def place(self, position: Sequence[float], quaternion: Sequence[float]) -> None:
+        """Put the root link, by its centre of mass, at a pose."""
+        self._bullet.resetBasePositionAndOrientation(self.body, position, quaternion)
+
+    def inertia(self, link: int = BASE) -> tuple[float, Vector]:
+        """The mass [kg] of a link, and its principal moments of inertia [kg m2]."""
+        info = self._bullet.getDynamicsInfo(self.body, link)
+        return info[0], info[2]
+
+    def set_inertia(self, mass: float, moments: Sequence[float], link: int = BASE) -> None:
+        """Set the mass [kg] and principal moments [kg m2] of a link; mass 0 fixes a root link."""
+        self._bullet.changeDynamics(self.body, link, mass=mass)
+        if mass:  # a change of mass alone makes new moments of the shape
+            self._bullet.changeDynamics(self.body, link, localInertiaDiagonal=moments)
+
+    def set_friction(self, lateral: float, rolling: float, spinning: float, link: int = BASE) -> None:
+        """Set the friction coefficients of a link."""
+        self._bullet.changeDynamics(
+            self.body, link, lateralFriction=lateral, rollingFriction=rolling, spinningFriction=spinning
+        )
+
+
+def write_body(folder: Path, urdf: str, meshes: Mapping[str, bytes]) -> Path:
+    """Write a URDF and its meshes into a folder; return its file."""
+    for mesh, content in meshes.items():
+        path = (folder / mesh).resolve()
+        if folder not in path.parents:
+            raise AssetError(f"A scene's meshes lie in its own folder, '{mesh}' does not.")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    file = folder / "body.urdf"
+    file.write_text(urdf, encoding="utf-8")
+    return file
+
+
+class HandBody(BulletBody):
+    """A hand on its carrier, with Bullet's indices of its links and joints.
+
+    An AssetError if a joint or link that the scene names is not in the URDF.
+    """
+
+    def __init__(self, bullet: Bullet, gripper: SceneGripper, *, meets_itself: bool = False) -> None:
+        mask = OBJECT_GROUP | (HAND_GROUP if meets_itself else 0)
+        super().__init__(
+            bullet,
+            gripper.urdf,
+            gripper.meshes,
+            fixed=True,
+            group=HAND_GROUP,
+            mask=mask,
+            meets_itself=meets_itself,
+        )
+        infos = [bullet.getJointInfo(self.body, i) for i in range(bullet.getNumJoints(self.body))]
+        self.links = [
             BulletLink(
                 info[1].decode(),
                 info[12].decode(),
                 info[2] != pb.JOINT_FIXED,
                 info[2] == pb.JOINT_PRISMATIC,
-                info[8],
-                info[9],
+                info[8:10],
                 info[16],
             )
             for info in infos
         ]
+        """All links but the root, by index; a link comes after the one that carries it."""
+        moving = {link.joint: index for index, link in enumerate(self.links) if link.moves}
+        self.joint_names = {index: name for name, index in moving.items()}
+        self.carrier = indices_by_name("carrier joint", (joint.name for joint in gripper.carrier), moving)
+        self.fingers = indices_by_name("joint", (joint.name for joint in gripper.joints), moving)
+        named = {link.link: index for index, link in enumerate(self.links)}
+        root = bullet.getBodyInfo(self.body)[0].decode()
+        self.link_names = {BASE: root} | {index: name for name, index in named.items()}
+        self.finger_links = frozenset(indices_by_name("finger link", gripper.finger_links, named))
+        self.base_link = named[gripper.base_link]
+        self.link_numbers = {named[name]: number for number, name in enumerate(gripper.links, start=1)}
+        """The number of each link in rows, by its index."""
+        indices = range(BASE, len(self.links))
+        self.shaped_links = [i for i in indices if bullet.getCollisionShapeData(self.body, i)]
+        others = sorted(set(moving.values()) - {*self.carrier, *self.fingers})
+        self.joints = [*self.carrier, *others, *self.fingers]
+        self.at_zero = [0.0] * (len(self.carrier) + len(others))
+        """Places of all joints before the fingers."""
 
-    def root_link(self, body: int) -> str:
-        """The name of a body's root link."""
-        name: bytes = pb.getBodyInfo(body, physicsClientId=self._client)[0]
-        return name.decode()
+    def set_joints(self, posture: Sequence[float]) -> None:
+        """Put the finger joints at `posture` [rad or m] and the others at zero, at rest."""
+        self._set(self.joints, [*self.at_zero, *posture])
 
-    def shaped_links(self, body: int) -> list[int]:
-        """The links that have a collision shape, the root link among them."""
-        links = range(BASE, pb.getNumJoints(body, physicsClientId=self._client))
-        return [i for i in links if pb.getCollisionShapeData(body, i, physicsClientId=self._client)]
+    def set_fingers(self, posture: Sequence[float]) -> None:
+        """Put the finger joints at `posture` [rad or m], at rest."""
+        self._set(self.fingers, posture)
 
-    def box(self, body: int, link: int) -> Box:
-        """The axis-aligned box around a link's collision shapes [m]."""
-        box: Box = pb.getAABB(body, link, physicsClientId=self._client)
-        return box
+    def _set(self, joints: list[int], places: Sequence[float]) -> None:
+        still = [[0.0]] * len(joints)
+        self._bullet.resetJointStatesMultiDof(self.body, joints, [[place] for place in places], still)
 
-    def collide(self, body: int, group: int, mask: int) -> None:
-        """Let all links of a body be of collision group `group` and meet the groups in `mask` only."""
-        for link in range(BASE, pb.getNumJoints(body, physicsClientId=self._client)):
-            pb.setCollisionFilterGroupMask(body, link, group, mask, physicsClientId=self._client)
+    def motion(self, joints: list[int]) -> list[tuple[float, float]]:
+        """Position [m or rad] and velocity [m/s or rad/s] of each joint."""
+        return [state[:2] for state in self._bullet.getJointStates(self.body, joints)]
 
-    def pass_through(self, body: int, link: int, other: int) -> None:
-        """Let two links of a body pass through each other."""
-        pb.setCollisionFilterPair(body, body, link, other, 0, physicsClientId=self._client)
+    def positions(self, joints: list[int]) -> list[float]:
+        """Positions of joints [m or rad]."""
+        return [state[0] for state in self._bullet.getJointStates(self.body, joints)]
 
-    def set_friction(
-        self, body: int, lateral: float, rolling: float, spinning: float, link: int = BASE
-    ) -> None:
-        """Set the friction coefficients of a body's link."""
-        pb.changeDynamics(
-            body,
-            link,
-            lateralFriction=lateral,
-            rollingFriction=rolling,
-            spinningFriction=spinning,
-            physicsClientId=self._client,
-        )
-
-    def inertia(self, body: int, link: int = BASE) -> tuple[float, Vector]:
-        """The mass [kg] of a link, and its principal moments of inertia [kg m2]."""
-        info = pb.getDynamicsInfo(body, link, physicsClientId=self._client)
-        return info[0], info[2]
-
-    def set_inertia(self, body: int, mass: float, moments: Sequence[float], link: int = BASE) -> None:
-        """Set the mass [kg] and principal moments [kg m2] of a link; mass 0 fixes a root link."""
-        pb.changeDynamics(body, link, mass=mass, physicsClientId=self._client)
-        if mass:  # a change of mass alone makes new moments of the shape
-            pb.changeDynamics(body, link, localInertiaDiagonal=moments, physicsClientId=self._client)
-
-    def set_damping(self, body: int, rate: float) -> None:
-        """Let a body's velocity decay with this rate [1/s]."""
-        pb.changeDynamics(body, BASE, linearDamping=rate, angularDamping=rate, physicsClientId=self._client)
-
-    def place(self, body: int, position: Sequence[float], quaternion: Sequence[float]) -> None:
-        """Put a body's root link, by its centre of mass, at a pose."""
-        pb.resetBasePositionAndOrientation(body, position, quaternion, physicsClientId=self._client)
-
-    def position(self, body: int) -> Vector:
-        """The position of a body's root link, by its centre of mass [m]."""
-        return self.pose(body)[0]
-
-    def pose(self, body: int) -> tuple[Vector, Quaternion]:
-        """Position [m] and quaternion of a body's root link, by its centre of mass."""
-        pose: tuple[Vector, Quaternion] = pb.getBasePositionAndOrientation(body, physicsClientId=self._client)
-        return pose
-
-    def link_pose(self, body: int, link: int) -> tuple[Vector, Quaternion]:
+    def frame(self, link: int) -> tuple[Vector, Quaternion]:
         """Position [m] and quaternion of the frame of a link that is not the root."""
-        state = pb.getLinkState(body, link, computeForwardKinematics=1, physicsClientId=self._client)
+        state = self._bullet.getLinkState(self.body, link, computeForwardKinematics=1)
         return state[4], state[5]
 
-    def halt(self, body: int) -> None:
-        """Set a body's linear and angular velocity to zero."""
-        pb.resetBaseVelocity(body, STILL, STILL, physicsClientId=self._client)
 
-    def velocity(self, body: int) -> Vector:
-        """The velocity of a body's root link, by its centre of mass [m/s]."""
-        linear: Vector = pb.getBaseVelocity(body, physicsClientId=self._client)[0]
+class ObjectBody(BulletBody):
+    """An object, with its root link at its centre of mass; an AssetError if it cannot be loaded."""
+
+    def __init__(self, bullet: Bullet, target: SceneObject) -> None:
+        urdf, meshes = OBJECT_URDF.format(mass=target.mass), {"parts.obj": target.collision}
+        super().__init__(bullet, urdf, meshes, fixed=False, group=OBJECT_GROUP, mask=HAND_GROUP)
+        self.lateral_friction = target.lateral_friction
+        self.frictions = target.rolling_friction, target.spinning_friction
+        """Its own coefficients of rolling and spinning friction."""
+        self.radius = max(math.hypot(*vertex) for vertex in obj_vertices(target.collision))
+        """Largest distance of a vertex from the centre of mass [m]."""
+
+    @property
+    def velocity(self) -> Vector:
+        """The velocity of its centre of mass [m/s]."""
+        linear: Vector = self._bullet.getBaseVelocity(self.body)[0]
         return linear
 
-    def push(self, body: int, force: Sequence[float], at: Sequence[float]) -> None:
-        """Act on a body with a force [N] at a point [m], during the next step alone."""
-        pb.applyExternalForce(body, BASE, force, at, pb.WORLD_FRAME, physicsClientId=self._client)
+    def damp(self, rate: float) -> None:
+        """Let its velocity decay with this rate [1/s]."""
+        self._bullet.changeDynamics(self.body, BASE, linearDamping=rate, angularDamping=rate)
 
-    def set_joints(self, body: int, joints: list[int], positions: Sequence[float]) -> None:
-        """Put joints at positions, at rest."""
-        pb.resetJointStatesMultiDof(
-            body,
-            joints,
-            [[position] for position in positions],
-            [[0.0]] * len(joints),
-            physicsClientId=self._client,
-        )
+    def push(self, force: Sequence[float]) -> None:
+        """Act on its centre of mass with a force [N], during the next step alone."""
+        self._bullet.applyExternalForce(self.body, BASE, force, self.pose[0], pb.WORLD_FRAME)
 
-    def joints(self, body: int, joints: list[int]) -> list[float]:
-        """Positions of joints [m or rad]."""
-        return [state[0] for state in pb.getJointStates(body, joints, physicsClientId=self._client)]
 
-    def joint_motion(self, body: int, joints: list[int]) -> list[tuple[float, float]]:
-        """Position [m or rad] and velocity [m/s or rad/s] of each joint."""
-        return [state[:2] for state in pb.getJointStates(body, joints, physicsClientId=self._client)]
+class TableBody(BulletBody):
+    """A table on which the object rests where it is placed; it stands still."""
 
-    def joint_place(self, body: int, joint: int) -> Vector:
-        """The origin of the frame of a joint's link [m]."""
-        place: Vector = pb.getLinkState(body, joint, physicsClientId=self._client)[4]
-        return place
+    def __init__(self, bullet: Bullet, pose: RestingPose) -> None:
+        urdf = TABLE_URDF.format(sides=" ".join(str(2.0 * half) for half in TABLE_HALF))
+        super().__init__(bullet, urdf, {}, fixed=True, group=TABLE_GROUP, mask=HAND_GROUP | OBJECT_GROUP)
+        self.set_friction(HAND_FRICTION, 0.0, 0.0)
+        self._pose, self._turn = pose, facing(pose.up).tolist()
 
-    def switch_motors_off(self, body: int, joints: list[int]) -> None:
-        """Let joints move freely, except for torques of `apply_torques`."""
-        pb.setJointMotorControlArray(
-            body,
-            joints,
-            pb.VELOCITY_CONTROL,
-            forces=[0.0] * len(joints),
-            physicsClientId=self._client,
-        )
+    def put_away(self) -> None:
+        """Move it away from all bodies."""
+        self.place(TABLE_AWAY, UPRIGHT)
 
-    def apply_torques(self, body: int, joints: list[int], torques: list[float]) -> None:
-        """Act on joints with forces or torques [N or Nm], during the next step alone."""
-        pb.setJointMotorControlArray(
-            body, joints, pb.TORQUE_CONTROL, forces=torques, physicsClientId=self._client
-        )
+    def put_below(self, way: float) -> None:
+        """Put it `way` [m] below the place where the object rests on it."""
+        self.place(table_middle(self._pose, way), self._turn)
 
-    def drive(self, body: int, joint: int, target: float, motor: Motor) -> None:
-        """Command a joint to a position, from the next step on."""
-        pb.setJointMotorControl2(
-            body,
-            joint,
-            pb.POSITION_CONTROL,
-            targetPosition=target,
-            force=motor.force,
-            maxVelocity=motor.max_velocity,
-            positionGain=motor.position_gain,
-            velocityGain=motor.velocity_gain,
-            physicsClientId=self._client,
-        )
 
-    def detect(self) -> None:
-        """Find the contacts at the present poses, without moving anything."""
-        pb.performCollisionDetection(physicsClientId=self._client)
-
-    def step(self) -> None:
-        """Simulate one step, 1/240 s if not set otherwise."""
-        pb.stepSimulation(physicsClientId=self._client)
-
-    def touching(self, body: int, other: int) -> bool:
-        """Return whether there is any contact between two bodies."""
-        return bool(pb.getContactPoints(body, other, physicsClientId=self._client))
-
-    def touching_links(self, body: int) -> set[tuple[int, int]]:
-        """The pairs of a body's own links between which there is a contact."""
-        points = pb.getContactPoints(body, body, physicsClientId=self._client)
-        return {(point[3], point[4]) for point in points}
-
-    def contacts(self, body: int, other: int) -> list[Contact]:
-        """The contacts between two bodies."""
-        points = pb.getContactPoints(body, other, physicsClientId=self._client)
-        return [Contact(point[3], point[8]) for point in points]
-
-    def contact_forces(self, body: int, other: int) -> list[ContactForce]:
-        """The contacts between two bodies, with their forces."""
-        points = pb.getContactPoints(body, other, physicsClientId=self._client)
-        return [
-            ContactForce(point[3], point[6], (-point[7][0], -point[7][1], -point[7][2]), point[8], point[9])
-            for point in points
-        ]
+def obj_vertices(obj: bytes) -> Iterator[list[float]]:
+    """The vertices of an OBJ file."""
+    for line in obj.decode().splitlines():
+        if line.startswith("v "):
+            yield [float(word) for word in line.split()[1:4]]

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate, unit
-from qdgrasp_assets.grippers.hand_geometry import free_posture, neighbours
+from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
@@ -30,17 +30,16 @@ from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
 from qdgrasp_worker.physical_episode import HULL_MARGIN, PhysicalWorld, table_middle
 from qdgrasp_worker.world import (
     AWAY_POSITION,
-    FREE_POSTURES,
     HAND_FRICTION,
     STILL,
     UPRIGHT,
     Contact,
     GraspContact,
     GraspWorld,
-    HandFrame,
     Quaternion,
     ShakenWorld,
     WorldState,
+    free_postures,
     indices_by_name,
     seen_from,
 )
@@ -71,6 +70,10 @@ class MujocoWorld(GraspWorld):
 
     def close(self) -> None:
         """Do nothing: the models are freed with the world."""
+
+    def base_pose(self) -> tuple[Sequence[float], Sequence[float]]:
+        """Position [m] and quaternion of the hand's base link: the origin, where nothing carries it."""
+        return STILL, UPRIGHT
 
     @abstractmethod
     def friction(self, trial: TrialSetup) -> tuple[float, float, float]:
@@ -236,14 +239,12 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         """The axis-aligned boxes around the collision shapes of the hand's links [m]."""
         return self.free.hand_boxes()
 
-    def hand_pose(self) -> HandFrame:
-        """The hand's base link in the object's frame, as both are now."""
+    def base_pose(self) -> tuple[Vector, Quaternion]:
+        """Position [m] and quaternion of the hand's base link."""
         joints = {name: float(self.free.data.qpos[row]) for name, row in self._row.items()}
         frame = self._scene.robot.forward(joints)[self._gripper.base_link]
-        origin, turn = (np.array(part) for part in self.object_pose())
-        back = conjugate(turn)
-        turned = Rotation.from_matrix(frame[:3, :3]).as_quat()
-        return rotate(back, frame[:3, 3] - origin), multiply(back, turned)
+        (x, y, z), (a, b, c, w) = frame[:3, 3], Rotation.from_matrix(frame[:3, :3]).as_quat()
+        return (x, y, z), (a, b, c, w)
 
 
 class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
@@ -346,12 +347,6 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         data.act[:] = self._control.targets
         data.ctrl[:] = (np.array(self._control.walk(self.finger_positions(), seconds)) - data.act) / seconds
 
-    def hand_pose(self) -> HandFrame:
-        """The hand's base link in the object's frame, as both are now."""
-        origin, turn = (np.array(part) for part in self.object_pose())
-        back = conjugate(turn)
-        return rotate(back, -origin), back
-
 
 def passing_links(
     gripper: SceneGripper, model: SceneModel, drives: Sequence[FingerDrive]
@@ -364,8 +359,8 @@ def passing_links(
     known = model.links.keys()
     pairs |= {(one, other) for one, other in gripper.disabled_collisions if {one, other} <= known}
     simulation = Simulation(model, model.driven(drives, pairs, is_free=True))
-    for i in range(FREE_POSTURES if gripper.free_joints else 1):
-        simulation.reset(free_posture(gripper, i / (FREE_POSTURES - 1)), (0.0, 0.0, 0.0))
+    for posture in free_postures(gripper):
+        simulation.reset(posture, (0.0, 0.0, 0.0))
         simulation.place(np.array(AWAY_POSITION), np.array(UPRIGHT))
         simulation.detect()
         pairs |= simulation.touching_links()
