@@ -77,9 +77,9 @@ and other finger contacts in 6 % of poses.
 
 
 class Bullet:
-    """PyBullet's functions and constants, with a world of their own; closing it twice is allowed.
+    """PyBullet's functions and constants, with a world of their own.
 
-    It has no gravity, and is set up so that the same calls give the same bits.
+    It has no gravity, and is set up so that the same calls give the same bits. Closing it twice is allowed.
     """
 
     def __init__(self) -> None:
@@ -117,11 +117,11 @@ class BulletLink(NamedTuple):
 
 
 class BulletBody:
-    """A body that is loaded from a URDF with its meshes, without visual shapes; its `body` is its index.
+    """A body that is loaded from a URDF with its meshes, without visual shapes.
 
-    Its inertias are those of its collision shapes. Its links pass through each other, or with `meets_itself`
-    only those that a joint connects. All of them are of collision group `group`, and meet the groups in
-    `mask`. An AssetError if Bullet cannot read it, or a mesh that it names.
+    Its `body` is its index. Its inertias are those of its collision shapes. Its links pass through each
+    other, or with `meets_itself` only those that a joint connects. All of them are of collision group
+    `group`, and meet the groups in `mask`. An AssetError if Bullet cannot read it, or a mesh that it names.
     """
 
     def __init__(
