@@ -25,89 +25,6 @@ QUIET_SECONDS = 10.0
 OBJECTS_NAMED = 2  # Most objects that are named while their shapes are built
 
 
-class WorkCounts(NamedTuple):
-    """Counts of the work of a job that is done, and that is left, at one time."""
-
-    rows: int
-    """Rows that workers have answered."""
-    evaluations: float
-    """Counted evaluations that came in, replayed ones apart."""
-    remaining: int
-    """Counted evaluations that are left."""
-    shapes_left: float
-    """Shapes that are left to be built, those too that are only expected."""
-    shape_seconds: float
-    """Seconds that a worker took for a shape, on the mean; 0: none is built yet."""
-    workers: int
-    """Workers that are there."""
-    evaluators: int
-    """Of these, workers that hold rows."""
-    builders: int
-    """Of these, workers that build a shape."""
-
-
-class TimeLeft:
-    """Estimates the time that the rest of a job takes from counts that are passed in.
-
-    Work is measured in seconds of workers: those that one evaluation took on the mean while there were rows,
-    since the first came, and those that one shape took. Workers without rows count where others have some, as
-    they will not have any later either. The remaining work is divided among the present workers.
-    """
-
-    def __init__(self) -> None:
-        self._at: float | None = None
-        self._rows: int | None = None
-        self._row_at = 0.0
-        self._before: float | None = None  # Evaluations with the first rows, which waited for their scene
-        self._row_work = 0.0  # Seconds of workers that had rows, or could have had, since then
-        self._workers = 1  # The last number that was not 0
-        self._shown: float | None = None
-
-    @property
-    def has_begun(self) -> bool:
-        """True if a row has come in."""
-        return self._before is not None
-
-    def quiet_seconds(self, now: float) -> float:
-        """Return for how long no row has come in [s]; infinite before the first one."""
-        return now - self._row_at if self.has_begun else math.inf
-
-    def note(self, counts: WorkCounts, now: float) -> float | None:
-        """Take the counts at a time [s]; return the seconds left, or None while they are not known."""
-        passed = 0.0 if self._at is None else max(0.0, now - self._at)
-        self._at, self._workers = now, counts.workers or self._workers
-        if self.has_begun and counts.evaluators:
-            self._row_work += passed * max(counts.workers - counts.builders, counts.evaluators)
-        if self._rows is not None and counts.rows > self._rows:
-            self._row_at = now
-            self._before = counts.evaluations if self._before is None else self._before
-        self._rows = counts.rows
-        self._shown = follow(self._shown, self._estimate(counts), passed)
-        return self._shown
-
-    def _estimate(self, counts: WorkCounts) -> float | None:
-        """Return the seconds left by the mean costs so far; None where one is not known."""
-        fresh = counts.evaluations - (self._before or 0.0)
-        if counts.remaining and not (self.has_begun and fresh > 0 and self._row_work):
-            return None
-        if counts.shapes_left and not counts.shape_seconds:
-            return None
-        rows = counts.remaining * self._row_work / fresh if counts.remaining else 0.0
-        return (rows + counts.shapes_left * counts.shape_seconds) / self._workers
-
-
-def follow(shown: float | None, estimate: float | None, passed: float) -> float | None:
-    """Return the time left to show [s], between an estimate and that shown before.
-
-    From that shown before the time that `passed` [s] is taken off. The first estimate is shown as it is; so
-    are None, not known, and 0, nothing left.
-    """
-    if not estimate or shown is None:
-        return estimate
-    expected = max(0.0, shown - passed)
-    return expected + (estimate - expected) * -math.expm1(-passed / SETTLING)
-
-
 class WorkersAtWork(NamedTuple):
     """The workers of a job that have something to do."""
 
@@ -119,28 +36,65 @@ class WorkersAtWork(NamedTuple):
     """Rows that all workers have settled."""
 
 
-def with_time_left(
-    figures: JobStatus, work: WorkersAtWork, shapes_left: float, left: TimeLeft, now: float
-) -> JobStatus:
-    """Return a job's figures with the time left, and with its work if no rows come in.
+class TimeLeft:
+    """Estimates the time that the rest of a job takes from its figures, which are passed in.
 
-    `shapes_left` are those under way, and those that are only expected. `left` is given these figures.
+    Work is measured in seconds of workers: those that one evaluation took on the mean while there were rows,
+    since the first came, and those that one shape took. Workers without rows count where others have some, as
+    they will not have any later either. The remaining work is divided among the present workers.
     """
-    ended = figures.scenes_done + figures.scenes_failed
-    counts = WorkCounts(
-        rows=work.settled,
-        evaluations=figures.rate * figures.seconds,
-        remaining=figures.remaining,
-        shapes_left=shapes_left,
-        shape_seconds=figures.scenes_seconds / ended if ended else 0.0,
-        workers=figures.workers,
-        evaluators=len(work.signs),
-        builders=work.builders,
-    )
-    seconds = left.note(counts, now)
-    is_said = figures.state in ("starting", "running") and left.quiet_seconds(now) > QUIET_SECONDS
-    doing = activity(figures, work, has_begun=left.has_begun) if is_said else ""
-    return structs.replace(figures, seconds_left=seconds, doing=doing)
+
+    def __init__(self) -> None:
+        self._at: float | None = None
+        self._settled = 0
+        self._row_at = -math.inf
+        self._before: float | None = None  # Evaluations with the first rows, which waited for their scene
+        self._row_work = 0.0  # Seconds of workers that had rows, or could have had, since then
+        self._workers = 1  # The last number that was not 0
+        self._shown: float | None = None
+
+    def note(self, figures: JobStatus, work: WorkersAtWork, shapes_left: float, now: float) -> JobStatus:
+        """Return a job's figures with the time left, and with its work if no rows come in.
+
+        `shapes_left` are those under way, and those that are only expected.
+        """
+        passed = 0.0 if self._at is None else max(0.0, now - self._at)
+        evaluations = figures.rate * figures.seconds  # Those that came in, replayed ones apart
+        self._workers = figures.workers or self._workers
+        if self._before is not None and work.signs:
+            self._row_work += passed * max(figures.workers - work.builders, len(work.signs))
+        if self._at is not None and work.settled > self._settled:
+            self._row_at = now
+            self._before = evaluations if self._before is None else self._before
+        self._at, self._settled = now, work.settled
+        self._shown = self._follow(self._estimate(figures, evaluations, shapes_left), passed)
+        is_quiet = now - self._row_at > QUIET_SECONDS and figures.state in ("starting", "running")
+        doing = activity(figures, work, has_begun=self._before is not None) if is_quiet else ""
+        return structs.replace(figures, seconds_left=self._shown, doing=doing)
+
+    def _estimate(self, figures: JobStatus, evaluations: float, shapes_left: float) -> float | None:
+        """Return the seconds left by the mean costs so far; None where one is not known."""
+        rows = shapes = 0.0
+        if figures.remaining:
+            fresh = 0.0 if self._before is None else evaluations - self._before
+            if fresh <= 0 or not self._row_work:
+                return None
+            rows = figures.remaining * self._row_work / fresh
+        if shapes_left:
+            if not figures.scenes_seconds:
+                return None
+            shapes = shapes_left * figures.scenes_seconds / (figures.scenes_done + figures.scenes_failed)
+        return (rows + shapes) / self._workers
+
+    def _follow(self, estimate: float | None, passed: float) -> float | None:
+        """Return the time left to show [s], between an estimate and that shown before.
+
+        The first estimate is shown as it is; so are None, not known, and 0, nothing left.
+        """
+        if not estimate or self._shown is None:
+            return estimate
+        expected = max(0.0, self._shown - passed)
+        return expected + (estimate - expected) * -math.expm1(-passed / SETTLING)
 
 
 def activity(figures: JobStatus, work: WorkersAtWork, *, has_begun: bool) -> str:

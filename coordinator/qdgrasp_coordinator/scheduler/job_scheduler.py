@@ -15,7 +15,7 @@ import structlog
 from msgspec import structs
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
-from qdgrasp_coordinator.metrics.time_left import TimeLeft, with_time_left
+from qdgrasp_coordinator.metrics.time_left import TimeLeft
 from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher, read_result
 from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest, LinkChange, TokenChange
 from qdgrasp_coordinator.scheduler.run_plan import BuildReply, ShapeWarning, WantedShapes
@@ -461,7 +461,7 @@ class JobScheduler:
             strays=self.dispatcher.strays,
             **{name: self.dispatcher.counters[name] for name in COUNTERS_SHOWN},
         )
-        return with_time_left(figures, self.workers.at_work, self.runs.shapes_left, self._time_left, now)
+        return self._time_left.note(figures, self.workers.at_work, self.runs.shapes_left, now)
 
 
 WORKERS_NAMED = 5  # Most workers that a refusal names

@@ -10,7 +10,6 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     GraspLimits,
     object_motion,
     recorded_margins,
-    settled_poses,
 )
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import CONTACT_VALUES, Outcome, RowShape
@@ -81,14 +80,3 @@ def test_each_limit_keeps_what_is_within_it():
     assert every.reason(rows, scene).startswith("of 4 grasps --max-penetration 2 admits 3, --max-motion 10")
     with pytest.raises(ImpossibleValue, match="max_motion"):
         GraspLimits(max_motion=-1.0)
-
-
-def test_rows_of_0_1_0_have_neither_motion_nor_margin_and_no_limit_to_these_admits_them():
-    scene, rows = made_scene("jaw"), rows_of(2, contact_slots=0)
-    assert np.isnan(object_motion(rows)).all()
-    assert np.isnan(recorded_margins(rows, scene.object)).all()
-    np.testing.assert_array_equal(settled_poses(rows), rows["base_to_object"])
-    assert GraspLimits(max_penetration=1.0).admitted(rows, scene).all()
-    limits = GraspLimits(max_motion=1000.0)
-    assert not limits.admitted(rows, scene).any()
-    assert "recorded before" in limits.reason(rows, scene)

@@ -1,13 +1,11 @@
 """Published status, as it travels."""
 
 import pytest
-from msgspec import json, to_builtins
 from msgspec.structs import replace
 from tests.tools.monitor.sample_jobs import event, figures, run, team, worker
 
 from qdgrasp_coordinator.metrics import job_status
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Heartbeat
 
 
 @pytest.mark.parametrize(
@@ -38,11 +36,6 @@ def test_numbers_that_are_no_counts_are_refused(shown) -> None:
         job_status.from_json(job_status.to_json(shown), type(shown))
 
 
-@pytest.mark.parametrize("rate", [0.0, 1e-300, 5e-324])
-def test_a_job_that_hardly_goes_on_has_no_time_left_in_words(rate: float) -> None:
-    assert run("a", rate=rate).left == "time left not known yet"
-
-
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [
@@ -55,16 +48,6 @@ def test_a_time_left_is_told_no_finer_than_it_is_known(seconds: float, words: st
     assert figures(seconds_left=seconds).left == f"{words} left"
 
 
-def test_the_time_left_of_a_job_is_the_one_that_its_coordinator_estimates() -> None:
-    assert figures(remaining=1000, rate=10.0, seconds_left=None).left == "time left not known yet"
-    assert figures(remaining=0, seconds_left=700.0).left == "nothing left"
-
-
-def test_a_job_that_nobody_works_at_yet_says_so_and_no_zeros() -> None:
-    waiting = figures(evaluations=0, budget=3, remaining=3, runs=1, rate=0.0, workers=0, state="running")
-    assert waiting.words == "0 of 3 evaluations, no worker yet"
-
-
 def test_a_job_without_rows_says_what_it_does_and_no_speed() -> None:
     early = figures(evaluations=0, budget=3, remaining=3, runs=1, rate=0.0, doing="waiting for workers")
     assert early.words == "0 of 3 evaluations, waiting for workers"
@@ -74,12 +57,6 @@ def test_a_job_without_rows_says_what_it_does_and_no_speed() -> None:
     )
 
 
-def test_one_of_a_thing_is_told_in_the_singular() -> None:
-    one = figures(evaluations=1, budget=1, runs=1, rate=1.0, workers=1, successes=1, cells=1, trials=1)
-    assert one.words.startswith("1 of 1 evaluation, 1.0/s, 1 success in 1 cell, ")
-    assert one.words.endswith("1 trial, 1 worker")
-
-
 def test_a_job_tells_of_its_shapes_before_its_runs() -> None:
     building = figures(
         evaluations=16_000, budget=40_000, runs=2000, runs_done=80, scenes=1000, scenes_done=120
@@ -87,19 +64,6 @@ def test_a_job_tells_of_its_shapes_before_its_runs() -> None:
     assert building.words.startswith("120 of 1000 shapes, 80 of 2000 runs, 16000 of 40000 evaluations, ")
     failed = figures(scenes=10, scenes_done=4, scenes_failed=2)
     assert failed.words.startswith("4 of 10 shapes and 2 failed, ")
-
-
-def test_figures_of_a_sender_that_knows_no_shapes_are_read() -> None:
-    new = ("scenes", "scenes_done", "scenes_failed", "scenes_seconds", "building", "seconds_left", "doing")
-    plain = figures(seconds_left=None)
-    sent = {name: value for name, value in to_builtins(plain).items() if name not in new}
-    assert job_status.from_json(json.encode(sent), job_status.JobStatus) == plain
-
-
-def test_a_sign_of_a_worker_that_knows_no_scenes_is_read() -> None:
-    sign = Heartbeat(wid=32 * "0", host="here", rows=50)
-    sent = {name: value for name, value in to_builtins(sign).items() if name not in ("done", "loading")}
-    assert job_status.from_json(json.encode(sent), Heartbeat) == sign
 
 
 def test_what_is_no_json_is_refused() -> None:

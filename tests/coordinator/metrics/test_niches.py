@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.metrics.cells import BINS, MIDDLES
+from qdgrasp_coordinator.metrics.cells import MIDDLES
 from qdgrasp_coordinator.metrics.niches import (
-    UNKNOWN_SYNERGIES,
     NicheArchive,
     SynergyReader,
     cell_of,
@@ -59,16 +58,6 @@ def test_cell_orientation_and_synergy_each_tell_niches_apart() -> None:
     assert without_synergy(keys)[3] == without_synergy(keys)[0] != without_synergy(keys)[2]
 
 
-def test_keys_are_equal_for_equal_niches_only() -> None:
-    grid = np.stack(np.meshgrid(*[[-3.2, -0.01, 0.0, 0.01, 3.2]] * 3), axis=-1).reshape(-1, 3)
-    found = rows(len(grid) * BINS)
-    found["descriptor"] = np.repeat(grid, BINS, axis=0)
-    found["base_to_object"][:, 3:] = np.tile(MIDDLES, (len(grid), 1))
-    keys = niches(found, UNKNOWN_SYNERGIES)
-    assert len(np.unique(keys)) == len(found)
-    assert len(np.unique(cell_of(keys))) == len(grid)
-
-
 @pytest.mark.parametrize(("gene", "label"), [(-1.0, 0), (-0.68, 0), (-0.66, 1), (0.2, 2), (1.0, 3)])
 def test_the_synergy_is_read_from_the_genome_as_evaluation_reads_it(gene: float, label: int) -> None:
     assert FOUR.labels(np.array([[0.0, gene]], np.float32)).tolist() == [label]
@@ -77,12 +66,6 @@ def test_the_synergy_is_read_from_the_genome_as_evaluation_reads_it(gene: float,
 def test_poses_that_are_given_hold_the_label_itself() -> None:
     given = SynergyReader(Layout(GIVEN, (Gene("x", -1.0, 1.0), Gene("synergy", 0.0, 3.0))))
     assert given.labels(np.array([[0.0, 2.0], [0.0, NO_SYNERGY]], np.float32)).tolist() == [2, NO_SYNERGY]
-
-
-def test_a_hand_without_synergies_has_one_niche_for_each_cell_and_orientation() -> None:
-    found = rows(2)
-    found["genome"] = [[0, -1], [0, 1]]
-    assert len(archive(found, synergies=UNKNOWN_SYNERGIES)) == 1
 
 
 def test_only_nominal_successes_are_kept() -> None:
@@ -113,23 +96,3 @@ def test_blocks_of_any_length_and_order_give_one_archive(size: int) -> None:
     whole = archive(every).elites.tobytes()
     assert archive(*parts).elites.tobytes() == whole
     assert archive(*parts[::-1]).elites.tobytes() == whole
-
-
-def test_asking_in_between_changes_nothing() -> None:
-    every = random_rows(1000)
-    asked = NicheArchive(FOUR)
-    passed = [
-        (len(asked), block)
-        for block in asked.inserting(every[first : first + 50] for first in range(0, 1000, 50))
-    ]
-    assert [n for n, _ in passed] == sorted(n for n, _ in passed)
-    assert np.concatenate([block for _, block in passed]).tobytes() == every.tobytes()
-    assert asked.elites.tobytes() == archive(every).elites.tobytes()
-
-
-def test_memory_is_bounded_by_the_niches_and_not_by_the_successes() -> None:
-    found = NicheArchive(FOUR)
-    for _ in range(30):
-        found.insert(rows(1000))
-    assert sum(len(part) for part in found._waiting) <= 5000
-    assert len(found) == 1

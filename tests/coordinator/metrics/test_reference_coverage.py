@@ -37,21 +37,11 @@ def test_a_set_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert (len(mug), len(mug.robust)) == (2, 1)
 
 
-def test_an_empty_set_is_a_set(tmp_path: Path) -> None:
-    path = written(tmp_path / "set.npz", mug__cm=CM[:0], mug__fitness=np.zeros(0, np.uint8))
-    assert len(read_reference(path, "mug")) == 0
-
-
 def test_an_object_that_the_set_lacks_is_refused_and_those_it_has_are_named(tmp_path: Path) -> None:
     fitness = np.zeros(2, np.uint8)
     path = written(tmp_path / "set.npz", mug__cm=CM, mug__fitness=fitness, bowl__cm=CM, bowl__fitness=fitness)
     with pytest.raises(UnknownName, match=r"'ycb_mug'.*Known: bowl, mug"):
         read_reference(path, "ycb_mug")
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"No reference set can be read at .*no\.npz.*No such file"):
-        read_reference(tmp_path / "no.npz", "mug")
 
 
 def saved(save: Callable[..., None], *given: object) -> bytes:
@@ -103,39 +93,6 @@ def test_the_scan_and_its_stand_in_compare_and_nothing_else_does() -> None:
         is_stand_in("ycb_bowl", mug)
 
 
-CUBE = ReleasedArchive(np.full(3, -0.145), 0.2931)
-
-
-def replayed(archive: ReleasedArchive, positions: np.ndarray, fitness: np.ndarray) -> set[int]:
-    """The elites, by inserting one success after the other."""
-    held: dict[int, int] = {}
-    for place, key in enumerate(archive.keys(positions).tolist()):
-        if key not in held or fitness[place] > fitness[held[key]]:
-            held[key] = place
-    return set(held.values())
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_the_elites_are_those_that_inserting_one_by_one_leaves(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    positions, fitness = random.uniform(-0.03, 0.03, (500, 3)), random.integers(0, 3, 500)
-    elites = CUBE.elites(positions, fitness)
-    assert set(elites.tolist()) == replayed(CUBE, positions, fitness)
-    assert len(elites) < 400
-
-
-def test_a_position_below_the_cube_falls_into_a_foreign_cell() -> None:
-    outside, inside = [-0.146, 0.0, 0.0], [0.1475, -0.01, 0.0]
-    keys = CUBE.keys(np.array([outside, inside]))
-    assert CUBE.bins == 29
-    assert keys[0] == keys[1]
-
-
-def test_a_position_above_the_cube_is_clipped_into_the_last_bin() -> None:
-    keys = CUBE.keys(np.array([[0.4, 0.0, 0.0], [0.1475, 0.0, 0.0]]))
-    assert keys[0] == keys[1]
-
-
 @pytest.mark.parametrize(
     ("name", "bins", "percent"),
     [
@@ -161,12 +118,6 @@ def test_the_share_of_the_set_outside_the_cube_is_that_of_the_released_code(
     assert round(100 * outside, 1) == percent
 
 
-def test_a_hand_that_the_released_code_lacks_has_no_archive(make_scene: Callable[..., Scene]) -> None:
-    assert released_archive(make_scene("hand_of_mine")) is None
-    for own in ("panda", "barrett", "allegro", "shadow", "robotiq_2f"):
-        assert released_archive(make_scene(own)) is not None
-
-
 @pytest.fixture
 def published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An asset path with sets of one hand: of `block`, and an empty one of `mug`."""
@@ -189,17 +140,6 @@ def test_the_published_set_of_a_hand_serves_its_models_and_stand_ins_are_marked(
 ) -> None:
     found = ReferenceLookup().of(on(make_scene(hand), name), name)
     assert (found.size, found.stand_in, found.why) == (2, stand_in, "")
-
-
-def test_why_there_is_no_set_is_said(published: Path, make_scene: SceneMaker) -> None:
-    scene = make_scene("barrett")
-    assert ReferenceLookup().of(on(scene, "ycb_mug"), "ycb_mug").why == "S_G of bh280 and mug is empty"
-    assert ReferenceLookup().of(on(scene, "ycb_bowl"), "ycb_bowl").why == "no S_G of bh280 and bowl"
-    assert ReferenceLookup().of(make_scene("jaw"), "block").why == "no S_G of jaw and block"
-
-
-def test_another_object_of_the_same_name_is_not_compared(published: Path, make_scene: SceneMaker) -> None:
-    assert ReferenceLookup().of(on(make_scene("barrett"), "block"), "my/block.stl").size == 0
 
 
 def test_a_named_file_says_its_hand_by_its_name_and_goes_before_the_published_ones(
@@ -232,32 +172,10 @@ def test_a_position_counts_once_however_often_it_was_reached() -> None:
     assert (found.found, found.size, found.coverage) == (2, 4, 0.5)
 
 
-def test_positions_that_are_not_in_the_set_count_as_outside() -> None:
-    found = coverage(at((9.0, 0, 0), (9.1, 0, 0), (0, 9.0, 0), (2, 0, 0)), np.zeros(4), FOUR)
-    assert (found.found, found.outside) == (1, 2)
-
-
-def test_mirrored_positions_are_told_apart() -> None:
-    found = coverage(at((4, 5, 6), (-4, -5, 6), (5, -4, 6)), np.zeros(3), FOUR)
-    assert (found.found, found.outside) == (0, 3)
-    assert coverage(at((-4, 5, 6)), np.zeros(1), FOUR).found == 1
-
-
-def test_halves_round_to_even_as_the_set_was_rounded() -> None:
-    edge = np.array([[0.125, 0.0, 0.0], [0.375, 0.0, 0.0]])
-    twelve_and_38 = reference([(12, 0, 0), (38, 0, 0)], [2, 2])
-    assert coverage(edge, np.zeros(2), twelve_and_38).coverage == 1.0
-
-
 def test_the_robust_share_asks_for_fitness_2_on_both_sides() -> None:
     held_where_only_one_shake_is_known, held, dropped = (2, 0, 0), (3, 0, 0), (-4, 5, 6)
     found = coverage(at(held_where_only_one_shake_is_known, held, dropped), np.array([2, 2, 1]), FOUR)
     assert (found.robust_found, found.robust_size, found.robust) == (1, 2, 0.5)
-
-
-def test_no_success_covers_nothing() -> None:
-    found = coverage(np.zeros((0, 3), np.float32), np.zeros(0), FOUR, SHIFTED)
-    assert (found.coverage, found.robust, found.released, found.outside) == (0.0, 0.0, 0.0, 0)
 
 
 def test_an_empty_set_has_no_coverage_and_says_so() -> None:
@@ -265,15 +183,6 @@ def test_an_empty_set_has_no_coverage_and_says_so() -> None:
     assert (found.coverage, found.robust, found.released, found.released_robust) == (None,) * 4
     assert "is empty" in found.sentence
     assert b'"coverage":null' in msgspec.json.encode(found)
-
-
-def test_a_set_without_robust_entries_has_no_robust_share() -> None:
-    assert coverage(at((1, 0, 0)), np.array([2]), reference([(1, 0, 0)], [1])).robust is None
-
-
-def test_finding_the_whole_set_covers_it() -> None:
-    found = coverage(FOUR.cells / 100, np.full(4, 2), FOUR)
-    assert (found.coverage, found.robust, found.outside) == (1.0, 1.0, 0)
 
 
 def test_the_released_count_takes_two_elites_that_round_to_one_position() -> None:
@@ -289,8 +198,3 @@ def test_the_released_count_can_lose_what_it_had() -> None:
     both = coverage(at(known_cell, better_beside_it), np.array([1, 2]), FOUR, SHIFTED)
     assert (first.found, first.released_found) == (1, 1)
     assert (both.found, both.released_found) == (1, 0)
-
-
-def test_without_an_archive_of_the_released_code_its_figures_are_left_out() -> None:
-    found = coverage(at((1, 0, 0)), np.array([2]), FOUR)
-    assert (found.released, found.released_robust, found.released_found) == (None, None, None)

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from msgspec import structs
-from tests.coordinator.recorded_runs import random_rows
 from tests.coordinator.scheduler.search_plans import Plan, evaluate
 
 from qdgrasp_coordinator.metrics import run_stats
@@ -20,24 +19,6 @@ def rows(*outcomes: Outcome, generation: int = 0) -> Rows:
     return made
 
 
-def test_count_takes_every_nominal_row_and_redraw_the_simulated_ones() -> None:
-    every = rows(*Outcome)
-    assert run_stats.evaluation_mask(every, "count").all()
-    assert [Outcome(value) for value in every["outcome"][run_stats.evaluation_mask(every, "redraw")]] == [
-        outcome for outcome in Outcome if outcome.is_simulated
-    ]
-
-
-@pytest.mark.parametrize("overlaps", ["count", "redraw"])
-def test_randomised_trials_never_count(overlaps) -> None:
-    trials = rows(Outcome.HELD, Outcome.HELD, Outcome.HELD)
-    trials["trial"] = [0, 1, 100]
-    assert run_stats.evaluation_mask(trials, overlaps).tolist() == [True, False, False]
-    total = RunCounter(10, overlaps)
-    total.count(trials)
-    assert (total.rows, total.evaluations, total.successes, total.proposals) == (3, 1, 1, 3)
-
-
 def test_every_outcome_is_counted_where_it_belongs() -> None:
     total = RunCounter(100, "redraw")
     total.count(rows(*Outcome))
@@ -46,15 +27,6 @@ def test_every_outcome_is_counted_where_it_belongs() -> None:
     assert figures == (2, 2, 2, 10, 6)
     assert (total.grasps, total.robust, total.rows, total.evaluations) == (4, 2, 16, 10)
     assert total.proposals == 48
-
-
-def test_cells_are_those_of_successes_each_once() -> None:
-    found = rows(Outcome.HELD, Outcome.DROPPED, Outcome.HELD, Outcome.BRUSHED)
-    found["descriptor"] = [[0.1, 0, 0], [0.104, 0, 0], [0.1, 0.01, 0], [0.2, 0, 0]]
-    total = RunCounter(100, "count")
-    total.count(found)
-    total.count(found)
-    assert total.cells == 2
 
 
 def test_a_run_is_over_when_its_budget_is_spent() -> None:
@@ -89,19 +61,6 @@ def test_a_journal_tells_that_the_last_generations_counted_nothing(size, populat
     words = f"the last {population * generations} genomes, {generations} generations, counted no evaluation"
     assert count_rows(redrawn(population), blocks(good, *bad, size=size)).finished == words
     assert count_rows(redrawn(population), blocks(good, *bad[:-1], size=size)).finished is None
-
-
-@pytest.mark.parametrize("population", [1, 5])
-def test_a_search_that_asks_few_at_a_time_may_have_bad_luck_for_as_many_genomes(population: int) -> None:
-    bad = barren(population, BARREN_GENOMES // population)
-    assert count_rows(redrawn(population), blocks(*bad[:-1], size=100)).finished is None
-    assert count_rows(redrawn(population), blocks(*bad, size=100)).finished is not None
-
-
-def test_a_success_between_them_begins_the_count_anew() -> None:
-    good = rows(Outcome.MISSED, *[Outcome.OVERLAP] * 49, generation=15)
-    found = count_rows(redrawn(50), blocks(*barren(50, 15), good, *barren(50, 15, first=16), size=4))
-    assert found.finished is None
 
 
 def test_an_unfinished_generation_is_not_taken_for_a_barren_one() -> None:
@@ -145,36 +104,6 @@ def test_a_journal_with_trials_is_complete_when_the_last_trial_is_recorded(size:
     assert total.finished == "the budget of 4 evaluations is spent"
 
 
-def test_many_trials_in_many_blocks_are_no_barren_generations() -> None:
-    spec = RunSpec(gripper="hand", object="thing", population=1, protocol="robust")
-    found = rows(*[Outcome.HELD] * 101)
-    found["index"], found["trial"] = 0, np.arange(101)
-    assert count_rows(spec, blocks(found, size=2)).finished is None
-
-
-def test_a_simulator_that_fails_in_a_trial_is_counted_among_the_errors_alone() -> None:
-    found = rows(Outcome.HELD, Outcome.ERROR)
-    found["index"], found["trial"] = 0, [0, 1]
-    total = RunCounter(10, "count", trials=1)
-    total.count(found)
-    assert (total.errors, total.successes, total.evaluations, total.dead_ends) == (1, 1, 1, 0)
-
-
-def test_totals_are_the_sums_of_what_tallies_count() -> None:
-    found = run_stats.NO_TOTALS
-    for seed in (0, 1):
-        rows = random_rows(50, seed)
-        rows["outcome"][:5], rows["proposals"] = Outcome.DEAD_END, 3
-        tally = RunCounter(100, "redraw")
-        tally.count(rows)
-        found += tally.totals
-    assert (found.proposals, found.dead_ends, found.trials) == (300, 10, 0)
-    assert found.evaluations == found.simulated == 90 - found.overlaps
-    assert found.cells <= found.successes < found.simulated
-    assert found + run_stats.NO_TOTALS == found
-    assert found.overlaps > 0
-
-
 def recorded(generations: int) -> list[int]:
     recorder = run_stats.CurveRecorder()
     for generation in range(1, generations + 1):
@@ -191,13 +120,6 @@ def test_a_curve_has_evenly_spaced_points_from_the_first_to_the_last_or_nearly(g
     assert len(steps) <= 1
     assert len(points) == min(generations, len(points)) <= CURVE_POINTS
     assert generations - (points or [0])[-1] < max(steps, default=1)
-
-
-def test_thinning_keeps_at_least_half_of_the_points() -> None:
-    assert all(
-        len(recorded(generations)) >= CURVE_POINTS // 2
-        for generations in range(CURVE_POINTS, 3 * CURVE_POINTS, 7)
-    )
 
 
 def test_a_run_that_is_replayed_has_the_same_curve_whatever_pieces_it_comes_in() -> None:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from tests.coordinator.scheduler.search_plans import FEW_CELLS, SHAPE, Chain, Plan, asked
 
-from qdgrasp_coordinator.metrics.scores import ROBUST, TrialPlan, scored_successes
+from qdgrasp_coordinator.metrics.scores import TrialPlan, scored_successes
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
-from qdgrasp_protocol.rows import SHAKES, Outcome, Rows
+from qdgrasp_protocol.rows import Outcome, Rows
 
 
 class Listener(Chain):
@@ -45,12 +45,3 @@ def test_a_success_has_no_score_before_its_last_trial_is_recorded() -> None:
     whole = np.concatenate(list(scored_successes([rows], TrialPlan(4))))
     short = np.concatenate(list(scored_successes([rows[:-1]], TrialPlan(4))))
     assert short.tobytes() == whole[:-1].tobytes()
-
-
-def test_eta_is_the_share_of_shakes_survived() -> None:
-    assert TrialPlan(100).eta(np.array([0, 90, 200], np.float32)).tolist() == [0, 0.45, 1]
-
-
-def test_what_survives_every_shake_is_robust_and_the_fittest_nominal_row_there_is() -> None:
-    assert ROBUST == SHAKES == len([outcome for outcome in Outcome if outcome.is_grasp])
-    assert [outcome for outcome in Outcome if outcome.is_robust] == [Outcome.DROPPED + ROBUST]

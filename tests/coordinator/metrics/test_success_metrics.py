@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from qdgrasp_coordinator.metrics.cells import MIDDLES
-from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, SynergyReader
+from qdgrasp_coordinator.metrics.niches import NicheArchive, SynergyReader
 from qdgrasp_coordinator.metrics.scores import TrialPlan
 from qdgrasp_coordinator.metrics.success_metrics import (
-    NU_SUMMARY_BINS,
     SuccessMetrics,
     archive_growth,
     diversity,
@@ -47,39 +46,12 @@ def test_the_qd_score_takes_the_best_fitness_of_each_cell_once() -> None:
     assert counted(found, found[::-1]).qd_score == 3
 
 
-def test_what_is_no_success_is_worth_nothing() -> None:
-    found = rows(Outcome.BRUSHED, Outcome.OVERLAP)
-    found["fitness"] = 2
-    metrics = counted(found, SHAPE.empty(0))
-    assert (metrics.qd_score, metrics.mean_fitness, metrics.nu.below_quarter_pi) == (0.0, None, None)
-    assert metrics.nu.bins == (0,) * NU_SUMMARY_BINS
-
-
-def test_randomised_trials_are_left_out() -> None:
-    found = rows(Outcome.SHAKEN, Outcome.HELD)
-    found["trial"] = [0, 1]
-    metrics = counted(found)
-    assert (metrics.successes, metrics.qd_score, metrics.mean_fitness) == (1, 1.0, 1.0)
-
-
-def test_the_mean_fitness_is_of_all_successes() -> None:
-    found = rows(Outcome.DROPPED, Outcome.HELD, Outcome.HELD, Outcome.SHAKEN, Outcome.MISSED)
-    assert counted(found).mean_fitness == 5 / 4
-
-
 def test_nu_from_0_to_pi_falls_into_18_bins_with_both_ends() -> None:
     found = rows(*[Outcome.DROPPED] * 4)
     found["nu"] = [0.0, math.pi, math.pi / 4 - 1e-3, math.pi / 4 + 1e-3]  # float32 pi is beyond pi
     lean = counted(found).nu
     assert (lean.bins[0], lean.bins[4], lean.bins[17], sum(lean.bins)) == (1, 2, 1, 4)
     assert lean.below_quarter_pi == 0.5
-
-
-def test_nu_at_the_end_of_the_prior_for_approach_is_not_beyond_it() -> None:
-    found = rows(*[Outcome.DROPPED] * 2)
-    found["nu"] = [math.pi / 4, np.nextafter(np.float32(math.pi / 4), np.float32(0))]  # float32 rounds up
-    assert float(found["nu"][0]) > math.pi / 4
-    assert counted(found).nu.below_quarter_pi == 1.0
 
 
 def test_successes_that_aim_at_no_surface_point_have_no_nu() -> None:
@@ -130,13 +102,6 @@ def test_a_success_counts_once_its_trials_are_recorded() -> None:
     assert (metrics.successes, metrics.mean_fitness, metrics.qd_score) == (2, 10, 16)
 
 
-def test_without_trials_there_is_no_eta() -> None:
-    assert counted(rows(Outcome.HELD)).eta is None
-    nothing = SuccessMetrics(TrialPlan(10)).eta
-    assert nothing is not None
-    assert (nothing.successes, nothing.mean, nothing.best, nothing.words) == (0, None, None, "none")
-
-
 NARROW_SHAPE = RowShape(genes=1, joints=1)
 TWO = SynergyReader(Layout("contact", (Gene("synergy", 0.0, 1.0),)))
 
@@ -164,35 +129,6 @@ def test_orientations_and_synergies_are_counted_in_the_cells_with_a_success() ->
     assert said.synergies == (2 + 1) / 2
 
 
-def test_a_niche_counts_by_the_best_in_it() -> None:
-    found = closed_rows(0, 0, 1, 1, 2)
-    found["outcome"] = [Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN, Outcome.DROPPED, Outcome.DROPPED]
-    said = diversity(archive(found, UNKNOWN_SYNERGIES))
-    assert (said.niches, said.grasp_niches, said.robust_niches) == (3, 2, 1)
-
-
-def test_without_a_success_there_is_no_mean() -> None:
-    said = diversity(archive(closed_rows()))
-    assert (said.niches, said.orientations, said.synergies, said.words) == (0, None, None, "none")
-
-
-def test_the_words_hold_all_figures() -> None:
-    found = closed_rows(0, 0, 1)
-    found["base_to_object"][1, 3:] = MIDDLES[4]
-    found["outcome"] = Outcome.HELD
-    said = diversity(archive(found)).words
-    assert said == "3 niches, 3 with a grasp, 3 robust; 1.50 orientations and 1.00 synergies in a cell"
-
-
-@pytest.mark.parametrize("n", [0, 300])
-def test_niches_are_never_fewer_than_cells_and_never_more_than_successes(n: int) -> None:
-    random = np.random.default_rng(2)
-    found = closed_rows(*random.integers(0, 20, n).tolist())
-    found["base_to_object"][:, 3:] = MIDDLES[random.integers(0, 60, n)]
-    said = diversity(archive(found))
-    assert len(np.unique(found["descriptor"][:, 0])) <= said.niches <= n
-
-
 def test_successes_and_their_cells_are_counted_along_the_nominal_rows() -> None:
     rows = RowShape(7, 2).empty(6)
     rows["outcome"] = Outcome.HELD
@@ -203,13 +139,3 @@ def test_successes_and_their_cells_are_counted_along_the_nominal_rows() -> None:
     assert found.evaluations.tolist() == [0, 1, 2, 3, 4, 5, 5]
     assert found.successes.tolist() == [0, 0, 1, 2, 3, 3, 3]
     assert found.cells.tolist() == [0, 0, 1, 1, 2, 2, 2]
-
-
-def test_overlaps_are_no_evaluations_where_they_are_redrawn() -> None:
-    rows = RowShape(7, 2).empty(3)
-    rows["outcome"] = [Outcome.OVERLAP, Outcome.MISSED, Outcome.OVERLAP]
-    assert archive_growth(rows, "redraw").evaluations.tolist() == [0, 0, 1, 1]
-
-
-def test_nothing_grows_from_nothing() -> None:
-    assert archive_growth(RowShape(7, 2).empty(0)).cells.tolist() == [0]
