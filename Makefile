@@ -10,12 +10,16 @@ PYTHON ?= $(or $(call first_python,== (3, 11)),$(call first_python,> (3, 11)))
 IN_PARALLEL := -n auto --maxprocesses 4 --no-loadscope-reorder
 # Half a minute of what does without PyBullet: the physics in MuJoCo, decoding, records, and a run to its end.
 WITHOUT_BULLET := tests/protocol tests/worker/engines tests/coordinator/storage tests/system/test_without_bullet.py \
-  $(addprefix tests/worker/test_,$(addsuffix .py,decoder evaluator physical_episode platform start syntax_digest))
+  $(wildcard $(addprefix tests/worker/test_,$(addsuffix .py,decoder evaluator physical_episode platform start)))
+# A minute of what needs neither processes nor long simulations.
+QUICK := tests/protocol tests/coordinator/scheduler tests/coordinator/storage tests/coordinator/recorder \
+  tests/tools/local tests/tools/security tests/worker/filters tests/assets/grippers tests/test_repository.py
 
-.PHONY: help demo test test-mujoco test-slow test-docs test-gpu check docs fuzz chaos simulate bench grasp-bench lock clean
+.PHONY: help demo test test-quick test-mujoco test-slow test-docs test-gpu check docs fuzz chaos simulate bench grasp-bench lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo, ENGINE=mujoco)"
 	@echo "make test    the test suite; make test-slow: more scenarios, some take minutes"
+	@echo "make test-quick   a part of it that takes a minute"
 	@echo "make test-docs   every command of README.md and docs/, also those that take long"
 	@echo "make test-mujoco   quick tests of what works without PyBullet; CI runs them in a later Python too (.ci/later)"
 	@echo "make test-gpu    tests of the engine mujoco-warp, on warp's CPU device or that of QDGRASP_DEVICE (.venv-gpu)"
@@ -34,6 +38,9 @@ demo: $(VENV)/.installed
 
 test: $(VENV)/.ready
 	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow"
+
+test-quick: $(VENV)/.ready
+	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow" $(QUICK)
 
 test-mujoco: $(VENV)/.ready
 	$(BIN)/python -m pytest $(IN_PARALLEL) -m "not slow" $(WITHOUT_BULLET)

@@ -9,20 +9,21 @@ import ast
 import re
 import subprocess
 import sys
+import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+
+import click
+import typer
+from tests.deploy.commands import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("protocol", "assets", "worker", "coordinator")
 
-MOST_MODULES = 293
-MOST_LINES = 63_150
-MOST_TEST_FILES = 334
-MOST_TEST_LINES = 63_850
-MOST_SCRIPTS = 24
 MOST_IN_FOLDER = 18
 MOST_IN_MODULE = 500
 MOST_IN_FIRST_LINE = 90
@@ -115,13 +116,7 @@ class Repository:
 
     def __init__(self, root: Path = ROOT) -> None:
         self.root = root
-        listed = subprocess.run(
-            ["git", "ls-files", "--cached", "--others", "--exclude-standard"],  # noqa: S607
-            cwd=root,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
+        listed = self.git("ls-files", "--cached", "--others", "--exclude-standard")
         self.files = [file for file in sorted(set(listed.splitlines())) if (root / file).is_file()]
         self.modules = [Module(root, file) for file in self.files if file.endswith(".py")]
         self.source = [module for module in self.modules if module.is_source]
@@ -132,50 +127,105 @@ class Repository:
             if file.endswith(".js") and file.startswith(ROOMS) and "/vendor/" not in file
         ]
 
-
-def counts(repository: Repository) -> list[tuple[str, int, int]]:
-    """Return files and lines of every room and of the tests.
-
-    Returns
-    -------
-    list of (name, files, lines)
-    """
-    rows = []
-    for room in ROOMS:
-        modules = [module for module in repository.source if module.path.startswith(f"{room}/")]
-        rows.append((room, len(modules), sum(module.lines for module in modules)))
-    source, tests = repository.source, repository.tests
-    rows.append(("rooms", len(source), sum(module.lines for module in source)))
-    rows.append(("tests", len(tests), sum(module.lines for module in tests)))
-    programs = {module.folder for module in tests if module.path.endswith("__main__.py")}
-    parts: dict[str, list[Module]] = {"programs of make": [], "helpers": []}
-    for module in tests:
-        if not Path(module.path).name.startswith("test_"):
-            parts["programs of make" if module.folder in programs else "helpers"].append(module)
-    rows += [
-        (f"of them {name}", len(part), sum(module.lines for module in part)) for name, part in parts.items()
-    ]
-    lines = sum((repository.root / file).read_text().count("\n") for file in repository.scripts)
-    rows.append(("JavaScript", len(repository.scripts), lines))
-    return rows
+    def git(self, *words: str) -> str:
+        """Return the output of a command of git; empty where it fails, as for a commit that is not there."""
+        command = ["git", *words]
+        return subprocess.run(command, cwd=self.root, capture_output=True, text=True, check=False).stdout
 
 
-def too_many(repository: Repository) -> Iterator[Violation]:
-    """Find rooms, tests and folders that hold more than they may."""
-    limits = {
-        "rooms": (MOST_MODULES, MOST_LINES),
-        "tests": (MOST_TEST_FILES, MOST_TEST_LINES),
-        "JavaScript": (MOST_SCRIPTS, sys.maxsize),
+ROOM_FOLDERS = {
+    "protocol": "protocol/",
+    "assets": "assets/",
+    "worker": "worker/",
+    "coordinator": "coordinator/qdgrasp_coordinator/",
+    "tools": "coordinator/qdgrasp_tools/",
+    "qdgrasp": "coordinator/qdgrasp/",
+    "tests": "tests/",
+    "benchmarks": "benchmarks/",
+}
+BUDGETS = "budgets.toml"
+PAGES = r"(docs/.*|README|CHANGELOG|CONTRIBUTING)\.md"
+
+
+def counts(repository: Repository) -> dict[str, dict[str, float]]:
+    """Return the sizes that `budgets.toml` has ceilings for, by its tables and names."""
+    lines: dict[str, float] = {
+        name: sum(module.lines for module in repository.modules if module.path.startswith(folder))
+        for name, folder in ROOM_FOLDERS.items()
     }
-    for name, files, lines in counts(repository):
-        most_files, most_lines = limits.get(name, (sys.maxsize, sys.maxsize))
-        if files > most_files:
-            yield Violation(".", 1, f"{name}: {files} files; at most {most_files}")
-        if lines > most_lines:
-            yield Violation(".", 1, f"{name}: {lines} lines; at most {most_lines}")
+    lines["source"] = sum(module.lines for module in repository.source)
+    lines["page"] = sum((repository.root / file).read_text().count("\n") for file in repository.scripts)
+    pages = [
+        file
+        for file in repository.files
+        if re.fullmatch(r"(docs/.*|README|CHANGELOG|CONTRIBUTING).*\.md", file)
+    ]
+    other = {
+        "modules": len(repository.source),
+        "test_share": round(lines["tests"] / max(1, lines["source"]), 3),
+        "words": sum(len((repository.root / page).read_text(encoding="utf-8").split()) for page in pages),
+        "run_options": len(_options("run")),
+        "commands": _command_count(),
+    }
+    return {"lines": lines, "other": other}
+
+
+def _options(name: str) -> list[click.Parameter]:
+    """Return the options of a command of `qdgrasp`, without arguments and those that every command has."""
+    command = typer.main.get_command(COMMANDS["qdgrasp"]).commands[name]  # type: ignore[attr-defined]
+    return [
+        one
+        for one in command.params
+        if one.param_type_name == "option" and one.name not in ("version", "help")
+    ]
+
+
+def _command_count() -> int:
+    """Return the number of commands: those of `qdgrasp` without groups, and the other programs."""
+
+    def leaves(command: click.Command) -> int:
+        parts = getattr(command, "commands", None)
+        return sum(map(leaves, parts.values())) if parts else 1
+
+    return sum(leaves(typer.main.get_command(app)) for app in COMMANDS.values())
+
+
+def too_large(repository: Repository) -> Iterator[Violation]:
+    """Find sizes above their ceilings, ceilings that were raised, and folders that hold too much."""
+    text = (repository.root / BUDGETS).read_text(encoding="utf-8")
+    ceilings, found = tomllib.loads(text), counts(repository)
+    for table, limits in ceilings.items():
+        for name, most in limits.items():
+            if found[table][name] > most:
+                yield Violation(BUDGETS, 1, f"{name}: {found[table][name]:g}; at most {most:g}")
+    for before, after in (("HEAD", None), ("HEAD~1", "HEAD")):
+        changed = set(repository.git("diff", "--name-only", before, *([after] if after else [])).split())
+        old = tomllib.loads(repository.git("show", f"{before}:{BUDGETS}"))
+        new = tomllib.loads(repository.git("show", f"{after}:{BUDGETS}")) if after else ceilings
+        for table, limits in old.items():
+            for name, most in limits.items():
+                if new.get(table, {}).get(name, sys.maxsize) > most and changed != {BUDGETS}:
+                    yield Violation(BUDGETS, 1, f"{name} was raised, in a change of other files")
     for folder, number in Counter(module.folder for module in repository.modules).items():
         if number > MOST_IN_FOLDER:
             yield Violation(folder, 1, f"{number} modules in one folder; at most {MOST_IN_FOLDER}")
+
+
+def circles(repository: Repository) -> Iterator[Violation]:
+    """Find a circle of modules that import each other, imports inside functions included."""
+    known = {module.name: module for module in repository.source}
+    graph = {
+        name: {
+            other
+            for other in module.imported()
+            if other in known and other != name and not known[other].is_init
+        }
+        for name, module in known.items()
+    }
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        yield Violation(known[error.args[1][0]].path, 1, f"a circle of imports: {' -> '.join(error.args[1])}")
 
 
 def too_long(repository: Repository) -> Iterator[Violation]:
@@ -266,7 +316,7 @@ def _forms(word: str) -> set[str]:
     return forms | {word.removesuffix("ies") + "y"} if word.endswith("ies") else forms
 
 
-CHECKS = (too_many, too_long, repeated_names, riddles, unknown_terms)
+CHECKS = (too_large, circles, too_long, repeated_names, riddles, unknown_terms)
 
 
 def violations(repository: Repository) -> Iterable[Violation]:
@@ -282,8 +332,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     repository = Repository()
     if options.counts:
-        for name, files, lines in counts(repository):
-            sys.stdout.write(f"{name:24} {files:4} files {lines:6} lines\n")
+        for table in counts(repository).values():
+            for name, size in table.items():
+                sys.stdout.write(f"{name:12} {size:8g}\n")
         return 0
     found = list(violations(repository))
     last = f"{len(found)} violations of the conventions" if found else "The conventions are kept."

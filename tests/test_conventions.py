@@ -21,6 +21,7 @@ def plant(tmp_path: Path) -> Callable[[dict[str, str]], list[Violation]]:
         kept = {
             "docs/glossary.md": "- **lease**: the right of one worker to evaluate a batch.\n",
             "tests/plain_words.txt": "dispatcher\n",
+            "budgets.toml": "[lines]\nsource = 10\n",
             "coordinator/qdgrasp_coordinator/lease.py": PLAIN,
         }
         for path, text in (kept | files).items():
@@ -57,14 +58,28 @@ def test_a_planted_violation_is_found(plant, path, text, sentence) -> None:
     assert any(sentence in found.sentence for found in plant({path: text}))
 
 
-@pytest.mark.parametrize(
-    ("limit", "sentence"),
-    [
-        ("MOST_MODULES", "rooms: 1 files; at most 0"),
-        ("MOST_LINES", "rooms: 5 lines; at most 0"),
-        ("MOST_IN_FOLDER", "modules in one folder; at most 0"),
-    ],
-)
-def test_a_tree_that_outgrows_its_size_is_found(plant, monkeypatch, limit, sentence) -> None:
-    monkeypatch.setattr(conventions, limit, 0)
-    assert any(sentence in found.sentence for found in plant({}))
+def test_a_tree_that_outgrows_its_ceilings_is_found(plant) -> None:
+    found = plant({"budgets.toml": "[lines]\nsource = 4\n[other]\nmodules = 0\n"})
+    assert {one.sentence for one in found} == {"source: 5; at most 4", "modules: 1; at most 0"}
+
+
+def test_a_ceiling_is_raised_in_a_change_of_its_own_alone(plant, tmp_path: Path) -> None:
+    def git(*words: str) -> None:
+        named = ["-c", "user.name=a", "-c", "user.email=a@b"]
+        subprocess.run(["git", "-C", str(tmp_path), *named, *words], check=True)  # noqa: S607
+
+    plant({})
+    git("add", "-A")
+    git("commit", "-qm", "first")
+    raised = {"budgets.toml": "[lines]\nsource = 99\n"}
+    assert plant(raised) == []
+    git("add", "-A")
+    (found,) = plant(raised | {"coordinator/qdgrasp_coordinator/lease.py": PLAIN + "\n"})
+    assert "source was raised" in found.sentence
+
+
+def test_a_circle_inside_functions_is_found(plant) -> None:
+    first = '"""A."""\n\ndef f() -> None:\n    import qdgrasp_worker.lease\n'
+    second = '"""B."""\n\nimport qdgrasp_worker.dispatcher\n'
+    texts = {"worker/qdgrasp_worker/dispatcher.py": first, "worker/qdgrasp_worker/lease.py": second}
+    assert any("a circle of imports" in one.sentence for one in plant(texts))
