@@ -6,14 +6,11 @@ all of it is the object's centre-of-mass frame as the object lies at first.
 
 from typing import Literal
 
-import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
-SCENE, REQUEST, ANSWER, FRAMES = "scene.bundle", "request.json", "answer.json", "frames.npy"
-"""Files: scene bundle, `ReplayRequest`, `ReplayAnswer`, frames (n, height, width, 3), uint8."""
+SCENE, REQUEST, ANSWER = "scene.bundle", "request.json", "answer.json"
+"""Files: scene bundle, `ReplayRequest`, `ReplayAnswer`."""
 
-ReplayPart = Literal["all", "closing", "shakes"]
 Phase = Literal["placed", "closing", "shake z", "shake x", "settling", "pushes", "lift"]
 Vector = tuple[float, float, float]
 Pose = tuple[float, float, float, float, float, float, float]
@@ -21,25 +18,12 @@ Pose = tuple[float, float, float, float, float, float, float]
 
 
 class ReplayRequest(Struct, frozen=True, kw_only=True):
-    """Evaluation and view to be shown."""
+    """The evaluation to replay."""
 
     genome: tuple[float, ...]
     """Genome of the prior `given`, each number as float32 has it."""
     trial: int
     """0: the nominal evaluation."""
-    width: int
-    height: int
-    view: tuple[float, float] | None = None
-    """Azimuth and elevation of the camera about the object's z [deg].
-
-    None: the view in which fingers and object are seen best.
-    """
-    what: ReplayPart | None = None
-    """The part of the evaluation that is filmed; None: one frame, of the hand after closing."""
-    parts: bool = False
-    """True: the object is drawn as its convex parts, which are simulated; False: its surface."""
-    pregrasp: bool = False
-    """True: one frame, of the hand as it is placed, before closing."""
 
 
 class ContactPoint(Struct, frozen=True, kw_only=True):
@@ -57,42 +41,23 @@ class ContactPoint(Struct, frozen=True, kw_only=True):
     """Signed distance, negative where they penetrate."""
 
 
-class ReplayFrame(Struct, frozen=True, kw_only=True):
-    """One frame."""
+class Snapshot(Struct, frozen=True, kw_only=True):
+    """State of hand and object before or after a step."""
 
     phase: Phase
     step: int
     """Steps of 1/240 s since the phase began."""
-    seconds: float
-    """Duration for which it is shown."""
-    hand: Pose
-    """Pose of the hand's base link."""
+    root: Pose
+    """Pose of the root link of the hand's URDF."""
+    joints: dict[str, float]
+    """Positions of all joints that move, by name [rad or m]."""
     object: Pose
     touches: tuple[ContactPoint, ...]
-
-
-class ReplayCamera(Struct, frozen=True, kw_only=True):
-    """The camera of a frame."""
-
-    azimuth: float
-    """[deg]"""
-    elevation: float
-    """[deg]"""
-    matrix: tuple[float, ...]
-    """(4, 4), row by row: from homogeneous points to OpenGL's clip coordinates."""
-    width: int
-    height: int
-
-    def pixels(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Project points (n, 3) to columns and rows (n, 2) from the image's upper left corner."""
-        whole = np.column_stack([points, np.ones(len(points))])
-        clip = whole @ np.array(self.matrix).reshape(4, 4).T
-        right, up = (clip[:, :2] / clip[:, 3:]).T
-        return np.column_stack([(1 + right) / 2 * self.width, (1 - up) / 2 * self.height])
+    """The contacts of the last collision detection."""
 
 
 class ReplayAnswer(Struct, frozen=True, kw_only=True):
-    """Result of the replayed evaluation, with its frames."""
+    """Result of the replayed evaluation, and its course."""
 
     outcome: int
     """Value of an `Outcome`."""
@@ -106,6 +71,5 @@ class ReplayAnswer(Struct, frozen=True, kw_only=True):
     contact_links: tuple[int, ...]
     """As a row has them, without empty places; none where the scene has no room for contacts."""
     contact_points: tuple[float, ...]
-    camera: ReplayCamera
-    """The same for all frames."""
-    shots: tuple[ReplayFrame, ...]
+    snapshots: tuple[Snapshot, ...]
+    """In time; the first is of the hand as it was placed."""

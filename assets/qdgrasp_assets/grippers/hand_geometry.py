@@ -52,8 +52,8 @@ class HandGeometry:
 
     def __init__(self, gripper: SceneGripper) -> None:
         self.gripper = gripper
-        self._whole = parse_robot(Path(gripper.name), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
-        self.robot = self._whole.subtree(gripper.base_link)
+        self.whole = parse_robot(Path(gripper.name), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
+        self.robot = self.whole.subtree(gripper.base_link)
         self._joints = [joint.name for joint in gripper.joints]
 
     @cached_property
@@ -69,8 +69,8 @@ class HandGeometry:
     def is_understood(self) -> bool:
         """True if all collision shapes are in `hulls`: all convex, none flat, none the carrier's."""
         meshes = self.gripper.meshes
-        return is_all_convex(self._whole, meshes) and (
-            sum(map(len, self.hulls.values())) == len(list(link_convex_parts(self._whole, meshes)))
+        return is_all_convex(self.whole, meshes) and (
+            sum(map(len, self.hulls.values())) == len(list(link_convex_parts(self.whole, meshes)))
         )
 
     @cached_property

@@ -9,7 +9,7 @@ import threading
 import webbrowser
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import msgspec
 import typer
@@ -40,9 +40,6 @@ from qdgrasp_tools.local.progress import progress_display
 from qdgrasp_tools.local.supervisor import LocalJobConfig
 from qdgrasp_tools.report.row_report import row_report
 from qdgrasp_tools.verification.verify import choose_rows, compare_engine, run_folders_at, verify_rows
-
-if TYPE_CHECKING:
-    from qdgrasp_tools.verification.replay_client import PictureSize
 
 
 def info(
@@ -228,14 +225,8 @@ def render(
             help="Where the camera stands about the object's z [deg]; default: where most is seen.",
         ),
     ] = None,
-    parts: Annotated[
-        bool, typer.Option("--parts", help="Draw the object's convex parts, which are simulated.")
-    ] = False,
     pregrasp: Annotated[
         bool, typer.Option("--pregrasp", help="Draw the open hand in its commanded pose, before closing.")
-    ] = False,
-    no_labels: Annotated[
-        bool, typer.Option("--no-labels", help="Draw no words: neither names of frames nor lines below.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
@@ -250,10 +241,11 @@ def render(
     from qdgrasp_tools.verification.evaluation_picture import (
         LARGEST,  # what draws takes its time to load
         SMALLEST,
+        PictureOptions,
         difference_reason,
         write_evaluation,
     )
-    from qdgrasp_tools.verification.replay_client import ReplayOptions, replay_target
+    from qdgrasp_tools.verification.replay_client import replay_target
 
     output = OutFile(out, suffixes=tuple(LARGEST), force=force)
     output.check()
@@ -263,17 +255,16 @@ def render(
         raise InputError(f"--what chooses a part of a film, and {out} is a picture: name a .gif.")
     if pregrasp and is_film:
         raise InputError(f"--pregrasp draws one picture, and {out} is a film: name a .png.")
-    wish = ReplayOptions(
-        _picture_size(size or "640x560", SMALLEST, LARGEST[suffix], f" for a {suffix}"),
+    wish = PictureOptions(
+        _picture_size(size, SMALLEST, LARGEST[suffix], suffix) if size else PictureOptions.size,
         _camera_view(view),
         (what or "all") if is_film else None,
-        parts,
         pregrasp,
     )
     shown = replay_target(RunFolder.open(directory), grasp, trial)
     echo(f"replaying row {shown.number} of {directory}", err=True)
     with lifetime("qdgrasp render") as stop:
-        unlike = write_evaluation(shown, wish, output, stop, has_labels=not no_labels)
+        unlike = write_evaluation(shown, wish, output, stop)
         if stop.is_set:
             raise typer.Exit(stop.exit_code)
         if unlike:
@@ -283,13 +274,16 @@ def render(
         raise typer.Exit(1)
 
 
-def _picture_size(text: str, smallest: "PictureSize", largest: "PictureSize", of: str) -> "PictureSize":
-    words = text.lower().split("x")
-    if len(words) == 2 and all(word.isdecimal() for word in words):
-        size = type(smallest)(*map(int, words))
-        if smallest.width <= size.width <= largest.width and smallest.height <= size.height <= largest.height:
-            return size
-    raise ImpossibleValue("--size", text, f"{smallest} to {largest}{of}")
+def _picture_size(
+    text: str, smallest: tuple[int, int], largest: tuple[int, int], suffix: str
+) -> tuple[int, int]:
+    match text.lower().split("x"):
+        case [width, height] if width.isdecimal() and height.isdecimal():
+            size = int(width), int(height)
+            if all(low <= side <= high for low, side, high in zip(smallest, size, largest, strict=True)):
+                return size
+    least, most = ("x".join(map(str, size)) for size in (smallest, largest))
+    raise ImpossibleValue("--size", text, f"{least} to {most} for a {suffix}")
 
 
 def _camera_view(text: str | None) -> tuple[float, float] | None:

@@ -15,7 +15,6 @@ from qdgrasp_tools.rendering import html_cards, views
 
 CARD_PIXELS = 320  # Width and height of a picture
 FINGER_COLOUR = views.FINGER_HUES[0]
-PALM_COLOUR = "#a8b3bf"  # Of links whose touch makes no success
 
 
 def grasp_card(scene: Scene, rows: Rows, title: str, figures: Iterable[html_cards.Figure]) -> str:
@@ -53,7 +52,7 @@ def hand_scene(gripper: SceneGripper, pose: Floats, joints: Floats) -> trimesh.S
     root, made = frames[gripper.base_link], trimesh.Scene()
     made.graph.update(frame_to="hand", matrix=root)  # type: ignore[no-untyped-call]  # of trimesh
     for name, mesh in hand.link_meshes.items():
-        colour = FINGER_COLOUR if name in gripper.finger_links else PALM_COLOUR
+        colour = FINGER_COLOUR if name in gripper.finger_links else views.STEEL
         made.add_geometry(
             _coloured(mesh, colour),
             node_name=f"hand/{name}",

@@ -33,7 +33,6 @@ from qdgrasp_coordinator.storage.outputs import PNG_SIGNATURE
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.rendering.annotations import AXIS_COLOURS, FRAME_LENGTH, INK
 from qdgrasp_tools.rendering.ray_renderer import (
     FIELD,
     RAYS_PER_PIXEL,
@@ -56,6 +55,9 @@ from qdgrasp_tools.rendering.views import (
     view_of_hands,
 )
 
+INK = "#22262b"
+AXIS_COLOURS = {"x": "#cc3311", "y": "#2e8b57", "z": "#2a73b9"}
+FRAME_LENGTH = 0.04  # Length of the axes of a frame [m]
 MISSING_LETTER = "\u25a1"  # Stands for a letter that the font lacks
 
 

@@ -4,7 +4,7 @@ The light is a sky of distant lamps, brighter over the viewer's left shoulder. S
 behind them, translucent ones do not.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,14 @@ class ParallelCamera:
     """Distance of neighbouring points of the image [m]."""
     rows: int
     columns: int
+    away: float = FAR
+    """Distance of the eye's plane from the origin [m]."""
+
+    def in_frame(self, frame: NDArray[np.floating]) -> "ParallelCamera":
+        """Return the camera as it is seen from a body's frame (4, 4); depths are the same."""
+        right, up, toward = self.axes @ frame[:3, 3].astype(np.float32)
+        axes = np.asarray(self.axes @ frame[:3, :3].astype(np.float32))
+        return replace(self, axes=axes, low=self.low - [right, up], away=float(self.away - toward))
 
     def project(self, points: NDArray[np.floating]) -> Floats:
         """Return components of points (n, 3) to the right, up and toward the eye [m]."""
@@ -55,7 +63,7 @@ class ParallelCamera:
         eye = np.empty((len(pixels), 3), dtype=np.float32)
         eye[:, 0] = self.low[0] + (column + np.float32(0.5)) * np.float32(self.step)
         eye[:, 1] = self.low[1] + (self.rows - row - np.float32(0.5)) * np.float32(self.step)
-        eye[:, 2] = FAR
+        eye[:, 2] = self.away
         return np.asarray(eye @ self.axes)
 
 

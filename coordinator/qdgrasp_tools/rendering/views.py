@@ -3,12 +3,12 @@
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 
 import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.ndimage import distance_transform_edt, map_coordinates
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -103,12 +103,11 @@ def _farthest(positions: NDArray[np.floating], approaches: NDArray[np.floating],
 
 ELEVATION = np.radians(26.0)
 OBJECT_AZIMUTH = np.radians(40.0)
-CLAY = "#f7e6ca"  # Colour of the object
+CLAY, STEEL = "#f7e6ca", "#a8b3bf"  # Colours of the object, and of links whose touch makes no success
 FINGER_HUES = (
     "#4477aa", "#ee7733", "#009988", "#cc3311", "#33bbee", "#aa3377", "#c0a020", "#332288", "#6a8f2f",
 )  # fmt: skip
 """Colours of hands in turn: neighbours are told apart with any colour vision."""
-FADE_DISTANCE = 0.06  # A palm fades with its distance from the object, to 1/e of itself at this one [m]
 CUBE_EDGE = 0.0072  # Edge of the cube that stands for a cell [m]; less than a cell, so that they stay apart
 LEAST_CUBE = 5.0
 """Pixels along the edge of a cube, at least: around a large object cubes stand for blocks of cells."""
@@ -153,6 +152,22 @@ def object_picture(scene: Scene, pixels: int) -> bytes:
     return clear_png(image)
 
 
+def hand_picture(scene: Scene, row: Rows, size: tuple[int, int], view: tuple[float, float]) -> bytes:
+    """Render the object with one hand, `row` (1,), as it settled, on a clear ground: a PNG.
+
+    `size` is width and height [pixels], `view` azimuth and elevation about the object's z [deg].
+    """
+    body = object_mesh(scene)
+    links = list(_links(scene, settled_poses(row), row["joints"]))
+    points = np.concatenate([body.vertices, *(link.mesh.vertices for link in links)])
+    columns, rows = (RAYS_PER_PIXEL * side for side in size)
+    image = LayeredImage(fit_camera(points, np.radians(view[0]), np.radians(view[1]), rows, columns))
+    paint_solid(image, RayMesh(body), rgb(CLAY))
+    for link in links:
+        paint_link(image, link)
+    return clear_png(image)
+
+
 def clear_png(image: LayeredImage) -> bytes:
     """Return an image on a transparent ground, as a PNG."""
     light, dark = image.composed(), image.composed(ground=0.0)
@@ -172,12 +187,11 @@ def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) ->
     """Render the object with a few well-spread grasps on it, as they settled."""
     body = object_mesh(scene)
     chosen = spread_grasps(successes, scene.gripper, _camera([body], azimuth, pixels))
-    links = list(_links(scene, chosen))
+    links = list(_links(scene, settled_poses(chosen), chosen["joints"]))
     image = LayeredImage(_camera([body, *(link.mesh for link in links)], azimuth, pixels))
     paint_solid(image, RayMesh(body), rgb(CLAY))
-    distance = SurfaceDistanceGrid(body)
     for link in links:
-        paint_link(image, link, distance)
+        paint_link(image, link)
     return RenderedView(image.composed(), image.camera, chosen)
 
 
@@ -246,43 +260,11 @@ def object_mesh(scene: Scene) -> Mesh:
     return Mesh(vertices.astype(np.float64), faces.astype(np.int64))
 
 
-class SurfaceDistanceGrid:
-    """Distances from a mesh's surface on a grid, to half a step; constant beyond its reach."""
-
-    STEP = 0.006
-    REACH = 0.15
-
-    def __init__(self, mesh: Mesh) -> None:
-        self.low = mesh.vertices.min(axis=0) - self.REACH
-        high = mesh.vertices.max(axis=0) + self.REACH
-        free = np.ones(np.ceil((high - self.low) / self.STEP).astype(int) + 1, dtype=bool)
-        free[tuple(np.rint((_sampled(mesh, self.STEP) - self.low) / self.STEP).astype(int).T)] = False
-        self.grid = distance_transform_edt(free, sampling=self.STEP)
-
-    def __call__(self, points: Floats) -> Floats:
-        """Return the distance (n,) [m] of points (n, 3)."""
-        place = ((points - self.low) / self.STEP).T
-        return np.asarray(map_coordinates(self.grid, place, order=1, mode="nearest", output=np.float32))
-
-
-def _sampled(mesh: Mesh, step: float) -> NDArray[np.float64]:
-    """Return points (n, 3) on a surface, neighbours on a triangle at most `step` apart [m]."""
-    corners = mesh.corners
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    counts = np.ceil(sides / step).astype(int)
-    parts = []
-    for n in np.unique(counts):  # a triangular grid of n steps a side, in barycentric coordinates
-        u, v = (share.ravel() / n for share in np.meshgrid(np.arange(n + 1), np.arange(n + 1)))
-        weights = np.stack([1 - u - v, u, v], axis=1)[u + v < 1 + 1e-6]
-        parts.append(np.einsum("wk,tkx->twx", weights, corners[counts == n]).reshape(-1, 3))
-    return np.concatenate(parts)
-
-
-def _links(scene: Scene, chosen: Rows) -> Iterator[DrawnLink]:
+def _links(scene: Scene, poses: NDArray[np.floating], joints: NDArray[np.floating]) -> Iterator[DrawnLink]:
+    """Yield the shapes of hands at `poses` (n, 7) with `joints` (n, j), each hand in a colour."""
     hand = hand_geometry(scene.gripper)
-    for number, (pose, joints) in enumerate(zip(settled_poses(chosen), chosen["joints"], strict=True)):
-        hue = rgb(FINGER_HUES[number % len(FINGER_HUES)])
-        for shape, vertices in hand.place_meshes(pose, joints.astype(float)):
+    for hue, pose, posture in zip(cycle(map(rgb, FINGER_HUES)), poses, joints, strict=False):
+        for shape, vertices in hand.place_meshes(pose, posture.astype(float)):
             yield DrawnLink(Mesh(vertices, shape.faces), hue, hand.is_finger(shape))
 
 
@@ -292,24 +274,29 @@ def _camera(meshes: list[Mesh], azimuth: float, pixels: int) -> ParallelCamera:
 
 
 def paint_solid(image: LayeredImage, solid: RayMesh, colour: Floats) -> None:
-    """Paint a solid in one colour (3,) or one for each face (f, 3)."""
+    """Paint a solid in one colour (3,) or one for each face (f, 3), with its own shadows."""
     hits = solid.cast_from(image.camera)
     light = 0.14 + 0.92 * shadowed_light(hits, solid, image.camera) ** 0.7
     base = colour if colour.ndim == 1 else colour[hits.faces]
     image.add_solid(hits, np.clip(base * light[:, None], 0, 1))
 
 
-def paint_link(image: LayeredImage, link: DrawnLink, distance: SurfaceDistanceGrid) -> None:
-    """Paint fingers nearly solid, the palm like glass that fades away from the object."""
+def paint_body(
+    image: LayeredImage, body: RayMesh, frame: NDArray[np.floating], colour: Floats, *, is_flat: bool = False
+) -> None:
+    """Paint a solid at `frame` (4, 4) without shadows; `is_flat`: all in one colour (3,)."""
+    camera = image.camera.in_frame(frame)
+    hits = body.cast_from(camera)
+    light = np.ones(len(hits.pixels)) if is_flat else 0.35 + 0.75 * soft_light(hits.normals, camera)
+    image.add_solid(hits, np.clip(colour * light[:, None], 0, 1).astype(np.float32))
+
+
+def paint_link(image: LayeredImage, link: DrawnLink) -> None:
+    """Paint fingers nearly solid, the palm like glass."""
     hits = RayMesh(link.mesh).cast_from(image.camera)
     edge = (1 - np.abs(hits.normals @ image.camera.axes[2])) ** 2
-    near = np.exp(-((distance(hits.points) / FADE_DISTANCE) ** 2))
-    light = soft_light(hits.normals, image.camera)[:, None]
-    shaded = link.hue * (0.5 + 0.55 * light)
-    if link.is_finger:
-        paler, opacity = 0.2, np.clip(0.58 + 0.32 * near + 0.1 * edge, 0, 0.95)
-    else:
-        paler, opacity = 0.35, 0.05 + 0.15 * near + 0.38 * edge
+    shaded = link.hue * (0.5 + 0.55 * soft_light(hits.normals, image.camera)[:, None])
+    paler, opacity = (0.2, 0.85 + 0.1 * edge) if link.is_finger else (0.35, 0.08 + 0.34 * edge)
     image.add_translucent(hits, np.clip(shaded + (1 - shaded) * paler, 0, 1), opacity)
 
 

@@ -1,243 +1,276 @@
-"""Writes the replay of an evaluation as a PNG or a GIF, annotated, above a caption."""
+"""Draws a replayed evaluation: a PNG of one moment, or a GIF of its course."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain, product
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw
+from scipy.spatial.transform import Rotation
 
-from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_coordinator.metrics.run_stats import outcome_words
+from qdgrasp_assets.geometry.mesh import Mesh
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.grippers.hand_geometry import hand_geometry
+from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.storage.outputs import OutFile
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.replay_messages import ReplayFrame
+from qdgrasp_protocol.replay_messages import Phase, Pose, Snapshot
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.text import counted
-from qdgrasp_tools.rendering import annotations
-from qdgrasp_tools.rendering.annotations import INK, Canvas, CoveredArea, fitting_size, label_font
-from qdgrasp_tools.report import row_report
-from qdgrasp_tools.verification import comparison
-from qdgrasp_tools.verification.replay_client import (
-    PictureSize,
-    ReplayedEvaluation,
-    ReplayOptions,
-    ReplayTarget,
-    local_platform,
-    replay_evaluation,
+from qdgrasp_tools.rendering.drawings import AXIS_COLOURS, FRAME_LENGTH, STANDOFF_COLOUR, project_point
+from qdgrasp_tools.rendering.ray_renderer import (
+    RAYS_PER_PIXEL,
+    LayeredImage,
+    ParallelCamera,
+    RayMesh,
+    fit_camera,
 )
+from qdgrasp_tools.rendering.views import CLAY, FINGER_HUES, STEEL, object_mesh, paint_body, rgb
+from qdgrasp_tools.verification import comparison
+from qdgrasp_tools.verification.replay_client import ReplayTarget, local_platform, replay_evaluation
 
-REPLAY_MEANINGS = row_report.OUTCOME_MEANINGS | {
-    Outcome.DEAD_END: "none of its poses was free and promised enough; this is the first of them"
+STEPS_PER_FRAME = 6  # Least number of steps of 1/240 s from one frame to the next
+FRAME_SECONDS = 0.08  # Seconds for which a frame of so many steps is shown: 3.2 times slower than simulated
+REST_SECONDS = 0.96  # Seconds for which the hand rests before it closes, when it has closed, and at the end
+ReplayPart = Literal["all", "closing", "shakes"]
+PARTS: dict[ReplayPart, tuple[Phase, ...]] = {
+    "all": ("placed", "closing", "settling", "shake z", "shake x", "pushes", "lift"),
+    "closing": ("placed", "closing", "settling"),
+    "shakes": ("shake z", "shake x", "pushes", "lift"),
 }
-STEPS_PER_SECOND = 240  # Steps of the simulator in a second
-PHASE_WORDS = {
-    "placed": "as it is placed, before the hand closes",
-    "closing": "closing, {seconds:.2f} s",
-    "shake z": "shake along z, {seconds:.2f} s",
-    "shake x": "shake about x, {seconds:.2f} s",
-    "settling": "settling, {seconds:.2f} s",
-    "pushes": "pushes, {seconds:.2f} s",
-    "lift": "lift, {seconds:.2f} s",
-}
+
+
+class TimedSnapshot(NamedTuple):
+    """A snapshot, and the time for which it is shown."""
+
+    snapshot: Snapshot
+    seconds: float
+
+
+def still_snapshot(snapshots: Sequence[Snapshot], *, pregrasp: bool = False) -> Snapshot:
+    """The hand after closing; as it was placed where it did not close, and with `pregrasp`."""
+    phases = ("placed",) if pregrasp else PARTS["closing"]
+    return [snapshot for snapshot in snapshots if snapshot.phase in phases][-1]
+
+
+def film_snapshots(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
+    """The snapshots of one part of an evaluation, in time; an InputError if it did not happen.
+
+    These are the first and the last of each phase, and between them one every `STEPS_PER_FRAME` steps, or the
+    next one after that. Each is shown until the time of the next.
+    """
+    chosen = [snapshot for snapshot in snapshots if snapshot.phase in PARTS[what]]
+    if not chosen:
+        raise InputError(f"This evaluation has no {what} to show: its outcome is {outcome.name.lower()}.")
+    frames = list[Snapshot]()
+    for snapshot, following in zip(chosen, [*chosen[1:], None], strict=True):
+        is_first = not frames or frames[-1].phase != snapshot.phase
+        is_last = following is None or following.phase != snapshot.phase
+        if is_first or is_last or snapshot.step - frames[-1].step >= STEPS_PER_FRAME:
+            frames.append(snapshot)
+    shown = []
+    for frame, next_frame in zip(frames, [*frames[1:], None], strict=True):
+        seconds = FRAME_SECONDS
+        if next_frame and next_frame.phase == frame.phase:
+            seconds *= (next_frame.step - frame.step) / STEPS_PER_FRAME
+        elif next_frame is None or frame.phase in PARTS["closing"]:
+            seconds = REST_SECONDS
+        shown.append(TimedSnapshot(frame, seconds))
+    return shown
+
+
+AZIMUTHS, ELEVATIONS = range(0, 360, 20), (12, 30)  # The camera's directions that are tried [deg]
+PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture whose pixels are only counted
+OBJECT_HUE, FINGER_HUE, PALM_HUE = rgb(CLAY), rgb(FINGER_HUES[0]), rgb(STEEL)
+FINGER_CONTACT_COLOUR, OTHER_CONTACT_COLOUR, OVERLAP_COLOUR = "#ee7733", "#c0a020", "#dd1144"
+MARK_COLOURS = (
+    *AXIS_COLOURS.values(), STANDOFF_COLOUR, FINGER_CONTACT_COLOUR, OTHER_CONTACT_COLOUR, OVERLAP_COLOUR
+)  # fmt: skip
+APPROACH_LENGTH, NORMAL_LENGTH = 0.06, 0.025  # Lengths of the approach axis and of a contact's normal [m]
+LINE_SHARE = 1 / 250  # Width of lines, as a share of the picture's height
+FINENESS = 3  # Factor by which marks are drawn finer than they are shown
 
 
 @dataclass(frozen=True)
-class ReplayCaption:
-    """The words that are the same below all frames of a replay."""
+class DrawnBody:
+    """A rigid body with its surface for rays, in its own frame."""
 
-    title: str
-    lines: tuple[str, ...]
-    closing_steps: int
+    rays: RayMesh
+    hue: NDArray[np.float32]
+    """(3,) RGB."""
+    corners: Floats
+    """(8, 3): corners of the box around it [m]."""
 
     @classmethod
-    def of(
-        cls, shown: ReplayTarget, shots: Sequence[ReplayFrame], differences: Sequence[str]
-    ) -> "ReplayCaption":
-        """Make the caption of a row whose replay differs in `differences` from what is recorded."""
-        spec, outcome = shown.found_by.spec, shown.outcome
-        made = f"protocol {spec.protocol_words}, method {spec.method}, seed {spec.seed}"
-        agreement = f"but replayed: {', '.join(differences)}" if differences else "replayed as recorded"
-        if outcome is Outcome.DEAD_END:
-            agreement = "not simulated in the run"
-        return cls(
-            _title(shown),
-            (f"{REPLAY_MEANINGS[outcome]}{_contact_words(shown)}", f"{made}; {agreement}"),
-            max((shot.step for shot in shots if shot.phase == "closing"), default=0),
-        )
-
-    def phase(self, shot: ReplayFrame) -> str:
-        """Describe what happens in a frame."""
-        if shot.phase == "closing" and shot.step == self.closing_steps:
-            return "after closing"
-        return PHASE_WORDS[shot.phase].format(seconds=shot.step / STEPS_PER_SECOND)
+    def of(cls, mesh: Mesh, hue: NDArray[np.float32]) -> "DrawnBody":
+        """Return the body of a mesh."""
+        return cls(RayMesh(mesh), hue, np.array(list(product(*zip(*mesh.bounds, strict=True)))))
 
 
-def _title(shown: ReplayTarget) -> str:
-    outcome = shown.outcome
-    noun = "grasp" if outcome.is_success else "row"
-    trial = f", trial {shown.trial}" if shown.trial else ""
-    found = f"{outcome_words(outcome)}, fitness {shown.row['fitness']:g}"
-    return f"{shown.scene.gripper.name} on {shown.scene.object.name}, {noun} {shown.number}{trial}: {found}"
+class SnapshotRenderer:
+    """Draws snapshots of a scene: the hand by its collision shapes, the object by its surface."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._gripper = scene.gripper
+        hand = hand_geometry(scene.gripper)
+        self._robot = hand.whole
+        fingers = scene.gripper.finger_links
+        self._links = {
+            name: DrawnBody.of(mesh, FINGER_HUE if name in fingers else PALM_HUE)
+            for name, mesh in hand.link_meshes.items()
+        }
+        self._object = DrawnBody.of(object_mesh(scene), OBJECT_HUE)
+
+    def fit(
+        self, snapshots: Sequence[Snapshot], view: tuple[float, float], size: tuple[int, int]
+    ) -> ParallelCamera:
+        """Return a camera that sees hand and object in all snapshots, but not an object that fell.
+
+        `view` is azimuth and elevation about the object's z [deg], `size` width and height [pixels].
+        """
+        corners = []
+        for number, snapshot in enumerate(snapshots):
+            *hand, target = self._placed(snapshot)
+            bodies = [*hand, target] if snapshot.touches or not number else hand
+            corners += [body.corners @ frame[:3, :3].T + frame[:3, 3] for body, frame in bodies]
+        azimuth, elevation = np.radians(view)
+        columns, rows = (RAYS_PER_PIXEL * side for side in size)
+        return fit_camera(np.concatenate(corners), azimuth, elevation, rows, columns, field=0.0)
+
+    def best_view(self, still: Snapshot) -> tuple[float, float]:
+        """Return azimuth and elevation [deg] from which most of both fingers and object is seen."""
+
+        def score(view: tuple[int, int]) -> float:
+            camera = self.fit([still], view, PREVIEW_SIZE)
+            colour = self._painted(still, camera, is_flat=True).colour
+            counts = [(colour == hue).all(axis=1).sum() for hue in (FINGER_HUE, OBJECT_HUE)]
+            return float(counts[0]) * float(counts[1])
+
+        azimuth, elevation = max(product(AZIMUTHS, ELEVATIONS), key=score)
+        return float(azimuth), float(elevation)
+
+    def draw(self, snapshot: Snapshot, camera: ParallelCamera) -> Image.Image:
+        """Draw a snapshot with its frames, the approach axis and contacts, over everything."""
+        image = self._painted(snapshot, camera).composed()
+        drawn = Image.fromarray(np.rint(255 * image).astype(np.uint8)).convert("RGBA")
+        marks = Image.new("RGBA", (FINENESS * drawn.width, FINENESS * drawn.height))
+        pen, width = ImageDraw.Draw(marks), FINENESS * drawn.height * LINE_SHARE
+
+        def line(start: Floats, end: Floats, colour: str) -> None:
+            ends = [project_point(camera, point) for point in (start, end)]
+            pen.line([FINENESS * place for place in chain(*ends)], fill=colour, width=round(width))
+
+        hand, target = self._hand_frame(snapshot), pose_frame(snapshot.object)
+        for frame in (target, hand):
+            for axis, colour in enumerate(AXIS_COLOURS.values()):
+                line(frame[:3, 3], frame[:3, 3] + FRAME_LENGTH * frame[:3, axis], colour)
+        approach = hand[:3, :3] @ self._gripper.approach_axis
+        palm = hand[:3, 3] + self._gripper.palm_offset * approach
+        line(palm, palm + APPROACH_LENGTH * approach, STANDOFF_COLOUR)
+        for touch in snapshot.touches:
+            colour = FINGER_CONTACT_COLOUR if touch.is_finger else OTHER_CONTACT_COLOUR
+            colour = OVERLAP_COLOUR if snapshot.phase == "placed" and touch.distance < 0 else colour
+            point = np.array(touch.point)
+            line(point, point + NORMAL_LENGTH * np.array(touch.normal), colour)
+            middle = [FINENESS * place for place in project_point(camera, point)]
+            pen.circle(middle, 1.8 * width, fill=colour, outline="white", width=round(width / 2))
+        shrunk = marks.resize(drawn.size, Image.Resampling.BOX)
+        return Image.alpha_composite(drawn, shrunk).convert("RGB")
+
+    def _hand_frame(self, snapshot: Snapshot) -> Floats:
+        return self._frames(snapshot)[self._gripper.base_link]
+
+    def _frames(self, snapshot: Snapshot) -> dict[str, Floats]:
+        return self._robot.forward(snapshot.joints, pose_frame(snapshot.root))
+
+    def _placed(self, snapshot: Snapshot) -> list[tuple[DrawnBody, Floats]]:
+        """All bodies with their frames (4, 4), the object at the end."""
+        frames = self._frames(snapshot)
+        hand = [(body, frames[link]) for link, body in self._links.items()]
+        return [*hand, (self._object, pose_frame(snapshot.object))]
+
+    def _painted(self, snapshot: Snapshot, camera: ParallelCamera, *, is_flat: bool = False) -> LayeredImage:
+        image = LayeredImage(camera)
+        for body, frame in self._placed(snapshot):
+            paint_body(image, body.rays, frame, body.hue, is_flat=is_flat)
+        return image
 
 
-def _contact_words(shown: ReplayTarget) -> str:
-    if not shown.outcome.is_success:
-        return ""
-    links = counted(int(shown.row["contacts"]), "finger link")
-    return f"; {links} in contact, penetration {1000 * shown.row['penetration']:.2g} mm"
+def pose_frame(pose: Pose) -> NDArray[np.float64]:
+    """The frame (4, 4) of a pose."""
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = Rotation.from_quat(pose[3:]).as_matrix(), pose[:3]
+    return frame
 
 
-SMALLEST, LARGEST = PictureSize(320, 240), {".png": PictureSize(3840, 2160), ".gif": PictureSize(1280, 960)}
-"""Least size of a picture, and the greatest by file ending: a film has some ninety frames."""
-FAINT = "#5c646d"
-MARGIN = 10  # Pixels beside and between words
-PALETTE_IMAGES = 8  # Frames that a film's colours are taken from
-PALETTE_COLOURS = 128  # Colours of a film besides those of marks and words
-WHITE = 255  # Of the ground, on which nothing is drawn
-LEGEND_GAP = 12  # Least difference of a film's colours from those of marks, in red, green or blue, of 255
+SMALLEST, LARGEST = (320, 240), {".png": (3840, 2160), ".gif": (1280, 960)}
+"""Least width and height of a picture, and the greatest by file ending: a film has some ninety frames."""
+PALETTE_FRAMES = 8  # Frames that a film's colours are taken from
+PALETTE_COLOURS = 240  # Colours of a film besides those of marks
 
 
-class PictureLayout:
-    """Division of a picture of some size: the scene above, words below unless it has none."""
+@dataclass(frozen=True)
+class PictureOptions:
+    """Choices for the drawing of an evaluation."""
 
-    def __init__(self, size: PictureSize, *, has_labels: bool = True) -> None:
-        self.size = size
-        self.has_labels = has_labels
-        self.large = max(12, min(size.width // 40, size.height // 32))
-        """Height of the title's letters; those of other words are smaller [pixels]."""
-        self.small = round(0.8 * self.large)
-        self._rows = [self.large, *[self.small] * 4]
-
-    @property
-    def scene(self) -> PictureSize:
-        """Size of the replayed scene."""
-        if not self.has_labels:
-            return self.size
-        caption = 2 * MARGIN + sum(map(self._step, self._rows))
-        return PictureSize(self.size.width, self.size.height - caption)
-
-    @property
-    def heights(self) -> list[int]:
-        """Vertical middles of the rows of words [pixels]."""
-        top = self.scene.height + MARGIN
-        return [top + sum(map(self._step, self._rows[:n])) + row // 2 for n, row in enumerate(self._rows)]
-
-    @staticmethod
-    def _step(size: int) -> int:
-        return round(1.45 * size)
-
-
-def replay_pictures(
-    replay: ReplayedEvaluation, gripper: SceneGripper, caption: ReplayCaption, layout: PictureLayout
-) -> Iterator[Image.Image]:
-    """Yield each frame of a replay with annotations and caption."""
-    shots = replay.answer.shots
-    marks = annotations.SceneAnnotations(gripper, replay.answer.camera, layout.small)
-    # what hand or object cover in any frame: in a film words then move little while the hand does
-    covered = CoveredArea(replay.frames.min(axis=(0, -1)) < WHITE)
-    legend = [
-        *annotations.AXIS_COLOURS.items(),
-        ("approach axis", annotations.APPROACH_COLOUR),
-        *((annotations.CONTACT_WORDS[hue], hue) for hue in annotations.contact_colours(shots)),
-    ]
-    for frame, shot in zip(replay.frames, shots, strict=True):
-        canvas = Canvas(frame, covered)
-        marks.draw(canvas, shot)
-        if layout.has_labels:
-            yield _with_words(canvas.composed(), caption, shot, legend, layout)
-        else:
-            yield canvas.composed(has_words=False)
-
-
-def write_pictures(path: Path, images: Iterator[Image.Image], shots: Sequence[ReplayFrame]) -> None:
-    """Write the pictures of a replay to a new file: a PNG of the last of them, or a GIF of all."""
-    if path.suffix.lower() == ".gif":
-        _write_gif(path, list(images), shots)
-    else:
-        list(images)[-1].save(path, format="PNG")
-
-
-def _with_words(
-    scene: Image.Image,
-    caption: ReplayCaption,
-    shot: ReplayFrame,
-    legend: Sequence[tuple[str, str]],
-    layout: PictureLayout,
-) -> Image.Image:
-    whole = Image.new("RGB", layout.size, "white")
-    whole.paste(scene)
-    pen = ImageDraw.Draw(whole)
-    pen.line([0, scene.height, scene.width, scene.height], fill="#d9dde1")
-    lines = [caption.title, *caption.lines, caption.phase(shot)]
-    sizes = [layout.large, *[layout.small] * len(lines)]
-    for height, size, words in zip(layout.heights, sizes, lines, strict=False):
-        font = label_font(fitting_size(pen, words, size, layout.size.width - 2 * MARGIN))
-        pen.text((MARGIN, height), words, INK if words is caption.title else FAINT, font, anchor="lm")
-    _write_legend(pen, layout, legend)
-    return whole
-
-
-def _write_legend(pen: ImageDraw.ImageDraw, layout: PictureLayout, legend: Sequence[tuple[str, str]]) -> None:
-    """Draw what the colours mean, side by side in the last line, in letters as small as needed."""
-    height, x, line = layout.heights[-1], float(MARGIN), " ".join(word for word, _ in legend)
-    size = fitting_size(pen, line, layout.small, layout.size.width, 3 * len(legend))
-    for words, colour in legend:
-        pen.ellipse([x, height - size // 3, x + 2 * (size // 3), height + size // 3], fill=colour)
-        pen.text((x + size, height), words, FAINT, label_font(size), anchor="lm")
-        x += pen.textlength(words, label_font(size)) + 2.5 * size
-
-
-def _write_gif(path: Path, images: Sequence[Image.Image], shots: Sequence[ReplayFrame]) -> None:
-    """Write all frames in one set of colours, so that nothing flickers."""
-    palette = _palette(images[:: max(1, len(images) // PALETTE_IMAGES)])
-    first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
-    ends = np.rint(100 * np.cumsum([shot.seconds for shot in shots])).astype(int)  # a GIF counts in 10 ms
-    durations = (10 * np.diff(ends, prepend=0)).tolist()
-    first.save(path, format="GIF", save_all=True, append_images=others, duration=durations, loop=0)
-
-
-def _palette(images: Sequence[Image.Image]) -> Image.Image:
-    """Return a palette: the exact colours of marks and words, and those for all others."""
-    sheet = Image.new("RGB", (images[0].width, images[0].height * len(images)))
-    for place, image in enumerate(images):
-        sheet.paste(image, (0, place * image.height))
-    reduced = sheet.quantize(PALETTE_COLOURS, method=Image.Quantize.MEDIANCUT).convert("RGB")
-    found = reduced.getcolors(PALETTE_COLOURS) or []
-    exact = np.array([*map(ImageColor.getrgb, ("white", FAINT, INK, *annotations.ANNOTATION_COLOURS))])
-    others = np.array([colour for _, colour in found])
-    is_apart = np.abs(others[:, None] - exact).max(axis=2).min(axis=1) > LEGEND_GAP
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(np.concatenate([exact, others[is_apart]]).ravel().tolist())
-    return palette
+    size: tuple[int, int] = (640, 560)
+    """Width and height [pixels]."""
+    view: tuple[float, float] | None = None
+    """Azimuth and elevation of the camera [deg]; None: those that show most."""
+    what: ReplayPart | None = None
+    """The part that is filmed; None: a still."""
+    pregrasp: bool = False
+    """True: a still shows the hand as it is placed, before closing."""
 
 
 def write_evaluation(
-    shown: ReplayTarget, options: ReplayOptions, out: OutFile, stop: Stop, *, has_labels: bool = True
-) -> list[str]:
-    """Replay a row and write its picture or film of `options.size`, with words or without.
+    shown: ReplayTarget, options: PictureOptions, out: OutFile, stop: Stop
+) -> dict[str, comparison.ComparedValues]:
+    """Replay a row and write its picture, or its film.
 
     Returns what the replay found in place of what is recorded, column by column; nothing where they agree,
     and of a dead end, which was not simulated. Raises InputError if the part that is asked for did not
     happen, or the file cannot be written, and ReplayFailed if it could not be replayed.
     """
-    layout = PictureLayout(options.size, has_labels=has_labels)
-    with replay_evaluation(shown, replace(options, size=layout.scene), stop) as replay:
-        if replay is None:
-            return []
-        differences, shots = list[str](), replay.answer.shots
-        if shown.outcome is not Outcome.DEAD_END:
-            now = comparison.row_with_answer(shown.row, replay.answer)
-            differences = comparison.difference_words(comparison.row_differences(shown.row, now))
-        caption = ReplayCaption.of(shown, shots, differences)
-        with out.writing() as made:
-            write_pictures(made, replay_pictures(replay, shown.scene.gripper, caption, layout), shots)
-    return differences
+    answer = replay_evaluation(shown, stop)
+    if answer is None:
+        return {}
+    still = still_snapshot(answer.snapshots, pregrasp=options.pregrasp)
+    frames = [TimedSnapshot(still, REST_SECONDS)]
+    if options.what:
+        frames = film_snapshots(answer.snapshots, options.what, shown.outcome)
+    painter = SnapshotRenderer(shown.scene)
+    view = options.view or painter.best_view(still)
+    camera = painter.fit([still, *(frame.snapshot for frame in frames)], view, options.size)
+    images = [painter.draw(frame.snapshot, camera) for frame in frames]
+    with out.writing() as made:
+        if options.what:
+            write_gif(made, images, [frame.seconds for frame in frames])
+        else:
+            images[0].save(made, format="PNG")
+    if shown.outcome is Outcome.DEAD_END:
+        return {}
+    return comparison.row_differences(shown.row, comparison.row_with_answer(shown.row, answer))
 
 
-def difference_reason(shown: ReplayTarget, differences: list[str]) -> str:
+def write_gif(path: Path, images: Sequence[Image.Image], seconds: Sequence[float]) -> None:
+    """Write all frames in one set of colours, so that nothing flickers."""
+    some = images[:: max(1, len(images) // PALETTE_FRAMES)]
+    sheet = Image.fromarray(np.concatenate([np.asarray(image) for image in some]))
+    palette = sheet.quantize(PALETTE_COLOURS)
+    marks = chain.from_iterable(map(ImageColor.getrgb, MARK_COLOURS))
+    palette.putpalette([*(palette.getpalette() or [])[: 3 * PALETTE_COLOURS], *marks])
+    first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
+    ends = np.rint(100 * np.cumsum(seconds)).astype(int)  # a GIF counts in 10 ms
+    durations = (10 * np.diff(ends, prepend=0)).tolist()
+    first.save(path, format="GIF", save_all=True, append_images=others, duration=durations, loop=0)
+
+
+def difference_reason(shown: ReplayTarget, differences: dict[str, comparison.ComparedValues]) -> str:
     """Describe the differences, and how this platform differs from that of the row."""
-    return (
-        f"The replay differs from row {shown.number}: {', '.join(differences)}. "
-        f"{comparison.platform_words(shown.found_by.platform, local_platform())}"
-    )
+    words = ", ".join(comparison.difference_words(differences))
+    platform = comparison.platform_words(shown.found_by.platform, local_platform())
+    return f"The replay differs from row {shown.number}: {words}. {platform}"

@@ -1,21 +1,15 @@
-"""Finds a recorded row with its scene, and has a worker's process replay its evaluation.
-
-The row has the shape of its own run, also in a merged journal.
-"""
+"""Finds a recorded row with its scene, and has a worker's process replay its evaluation."""
 
 import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.search.fixed_poses import as_given
@@ -26,11 +20,9 @@ from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.replay_messages import (
     ANSWER,
-    FRAMES,
     REQUEST,
     SCENE,
     ReplayAnswer,
-    ReplayPart,
     ReplayRequest,
 )
 from qdgrasp_protocol.rows import Outcome
@@ -125,53 +117,6 @@ REPLAY_MODULE = "qdgrasp_worker.replay.replay"
 POLL_INTERVAL = 0.05  # seconds between two looks whether it is done
 
 
-class PictureSize(NamedTuple):
-    """Size of a picture, in pixels."""
-
-    width: int
-    height: int
-
-    def __str__(self) -> str:
-        return f"{self.width}x{self.height}"
-
-
-@dataclass(frozen=True)
-class ReplayOptions:
-    """Options for showing an evaluation."""
-
-    size: PictureSize
-    view: tuple[float, float] | None = None
-    """Azimuth and elevation of the camera [deg]; None: those that show most."""
-    what: ReplayPart | None = None
-    """The part that is filmed; None: a still."""
-    parts: bool = False
-    """True: the object is drawn as its convex parts."""
-    pregrasp: bool = False
-    """True: a still shows the hand as it is placed, before closing."""
-
-    def of(self, shown: ReplayTarget) -> ReplayRequest:
-        """Return the request for the process that replays."""
-        return ReplayRequest(
-            genome=shown.genome,
-            trial=shown.trial,
-            width=self.size.width,
-            height=self.size.height,
-            view=self.view,
-            what=self.what,
-            parts=self.parts,
-            pregrasp=self.pregrasp,
-        )
-
-
-@dataclass(frozen=True)
-class ReplayedEvaluation:
-    """The answer and the frames of a replayed evaluation."""
-
-    answer: ReplayAnswer
-    frames: NDArray[np.uint8]
-    """(n, rows, columns, 3), read from the disk as they are asked for."""
-
-
 class ReplayFailed(QdgraspError):
     """The process that replays ended without an answer."""
 
@@ -179,24 +124,20 @@ class ReplayFailed(QdgraspError):
         super().__init__(f"The process that replays {death.description}. {death.words}".strip())
 
 
-@contextmanager
-def replay_evaluation(
-    shown: ReplayTarget, options: ReplayOptions, stop: Stop
-) -> Iterator[ReplayedEvaluation | None]:
-    """Replay a row for a with-block that reads its frames; None where a signal came first.
+def replay_evaluation(shown: ReplayTarget, stop: Stop) -> ReplayAnswer | None:
+    """Replay a row in a process of its own; None where a signal came first.
 
-    Raises InputError if the part that is asked for did not happen, and ReplayFailed if its replay failed.
+    Raises ReplayFailed if its replay failed.
     """
     with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
         folder = Path(name)
         (folder / SCENE).write_bytes(shown.bundle.payload)
-        (folder / REQUEST).write_bytes(msgspec.json.encode(options.of(shown)))
+        request = ReplayRequest(genome=shown.genome, trial=shown.trial)
+        (folder / REQUEST).write_bytes(msgspec.json.encode(request))
         _run_process(folder, stop)
         if stop.is_set:
-            yield None
-            return
-        answer = msgspec.json.decode((folder / ANSWER).read_bytes(), type=ReplayAnswer)
-        yield ReplayedEvaluation(answer, np.load(folder / FRAMES, mmap_mode="r", allow_pickle=False))
+            return None
+        return msgspec.json.decode((folder / ANSWER).read_bytes(), type=ReplayAnswer)
 
 
 def local_platform() -> dict[str, str]:
@@ -213,7 +154,5 @@ def _run_process(folder: Path, stop: Stop) -> None:
             with suppress(subprocess.TimeoutExpired):
                 processes.process("replay").wait(POLL_INTERVAL)
         for death in () if stop.is_set else ended:
-            if death.exit_code == InputError.exit_code:
-                raise InputError(death.words)
             if death.exit_code:
                 raise ReplayFailed(death)

@@ -1,79 +1,22 @@
-"""Records the snapshots of an evaluation, and chooses which are shown, and for how long."""
+"""Records the course of an evaluation, step by step, in a world of any engine."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
+from msgspec import structs
 
 from qdgrasp_assets.geometry.rotation import conjugate, multiply, rotate
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.replay_messages import ContactPoint, Phase, ReplayPart
-from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.replay_messages import ContactPoint, Phase, Pose, Snapshot
 from qdgrasp_worker.evaluation_protocols import Shake, TrialSetup
-from qdgrasp_worker.replay.renderer import Snapshot
 from qdgrasp_worker.world import GraspWorld
 
 STEPS_PER_SECOND = 240  # Time is counted in steps of 1/240 s, in any engine
-STEPS_PER_FRAME = 6  # Least number of steps from one frame to the next
-FRAME_SECONDS = 0.08  # Seconds for which a frame of so many steps is shown: 3.2 times slower than simulated
-REST_SECONDS = 0.96  # seconds for which the hand rests before it closes, when it has closed, and at the end
-PARTS: dict[ReplayPart, tuple[str, ...]] = {
-    "all": ("placed", "closing", "settling", "shake z", "shake x", "pushes", "lift"),
-    "closing": ("placed", "closing", "settling"),
-    "shakes": ("shake z", "shake x", "pushes", "lift"),
-}
-
-
-class TimedSnapshot(NamedTuple):
-    """A snapshot, and the time for which it is shown."""
-
-    snapshot: Snapshot
-    seconds: float
-
-
-def still_snapshot(snapshots: Sequence[Snapshot]) -> Snapshot:
-    """The hand after closing; where it did not close, as it was placed."""
-    return [snapshot for snapshot in snapshots if snapshot.phase in PARTS["closing"]][-1]
-
-
-def placed_snapshot(snapshots: Sequence[Snapshot]) -> Snapshot:
-    """The hand as it was placed, before closing."""
-    return [snapshot for snapshot in snapshots if snapshot.phase == "placed"][-1]
-
-
-def animation(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
-    """The snapshots of one part of an evaluation, in time; an InputError if it did not happen.
-
-    These are the first and the last of each phase, and between them one every `STEPS_PER_FRAME` steps, or the
-    next one after that. Each is shown until the time of the next.
-    """
-    chosen = [snapshot for snapshot in snapshots if snapshot.phase in PARTS[what]]
-    if not chosen:
-        raise InputError(f"This evaluation has no {what} to show: its outcome is {outcome.name.lower()}.")
-    frames = list[Snapshot]()
-    for snapshot, following in zip(chosen, [*chosen[1:], None], strict=True):
-        is_first = not frames or frames[-1].phase != snapshot.phase
-        is_last = following is None or following.phase != snapshot.phase
-        if is_first or is_last or snapshot.step - frames[-1].step >= STEPS_PER_FRAME:
-            frames.append(snapshot)
-    shown = []
-    for frame, next_frame in zip(frames, [*frames[1:], None], strict=True):
-        seconds = FRAME_SECONDS
-        if next_frame and next_frame.phase == frame.phase:
-            seconds *= (next_frame.step - frame.step) / STEPS_PER_FRAME
-        elif next_frame is None or frame.phase in PARTS["closing"]:
-            seconds = REST_SECONDS
-        shown.append(TimedSnapshot(frame, seconds))
-    return shown
-
-
 PHASE_BY_SHAKE: dict[str, Phase] = {"z": "shake z", "x": "shake x"}
 
 
 class EpisodeRecorder:
-    """Records the last evaluation in a world of any engine.
+    """Records the last evaluation in a world.
 
     It wraps the world's actions in an episode, and takes a snapshot after each. Snapshots are in the frame of
     the object's centre of mass as the object lies at first.
@@ -108,7 +51,7 @@ class EpisodeRecorder:
     def _fingers_set(self, posture: Sequence[float]) -> None:
         """Record the fingers; the contacts are still those of the look before."""
         placed = self.snapshots.pop()
-        self.snapshots.append(replace(self._now(), touches=placed.touches))
+        self.snapshots.append(structs.replace(self._now(), touches=placed.touches))
 
     def _closing(self, synergy: int) -> None:
         self._begin("closing")
@@ -128,7 +71,7 @@ class EpisodeRecorder:
         """Begin a phase, in which nothing has moved yet: an engine may have forgotten its contacts."""
         self._phase, self._step, self._taken = phase, 0, 0
         before, now = self.snapshots[-1:], self._now()
-        self.snapshots.append(replace(now, touches=before[0].touches) if before else now)
+        self.snapshots.append(structs.replace(now, touches=before[0].touches) if before else now)
 
     def _now(self) -> Snapshot:
         (root, turned), joints, (target, turned_target), touches = self._world.state()
@@ -137,12 +80,12 @@ class EpisodeRecorder:
         root, target, *points = rotate(self._back, places).tolist()
         turned, turned_target = multiply(self._back, np.array([turned, turned_target])).tolist()
         return Snapshot(
-            self._phase,
-            self._step,
-            (root, turned),
-            joints,
-            (target, turned_target),
-            tuple(
+            phase=self._phase,
+            step=self._step,
+            root=make_pose(root, turned),
+            joints=dict(joints),
+            object=make_pose(target, turned_target),
+            touches=tuple(
                 ContactPoint(
                     link=touch.link,
                     is_finger=touch.link in self._finger_links,
@@ -155,6 +98,12 @@ class EpisodeRecorder:
                 )
             ),
         )
+
+
+def make_pose(position: Iterable[float], quaternion: Iterable[float]) -> Pose:
+    """The pose of a position [m] and a quaternion xyzw."""
+    (x, y, z), (qx, qy, qz, qw) = position, quaternion
+    return x, y, z, qx, qy, qz, qw
 
 
 def followed(act: Callable[..., None], look: Callable[..., None]) -> Callable[..., None]:

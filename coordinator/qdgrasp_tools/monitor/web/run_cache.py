@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from math import inf
 from typing import Generic, TypeVar
 
@@ -20,15 +20,14 @@ from msgspec.structs import replace
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins, settled_poses
+from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListing, RunListings
 from qdgrasp_coordinator.storage.engine_table import EngineTable
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
 from qdgrasp_tools.monitor.records import JobRecords, JournalId, RecordPage, Records
 from qdgrasp_tools.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
-from qdgrasp_tools.rendering.contact_sheet import PlacedHands, common_camera, paint_hands
-from qdgrasp_tools.rendering.views import SurfaceDistanceGrid, clear_png, object_mesh, object_picture
+from qdgrasp_tools.rendering.views import hand_picture, object_picture
 
 WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one's query [s]
 BUSY_SECONDS = 3.0  # After a query without an answer the next one waits so long [s]
@@ -144,11 +143,6 @@ class LoadedScene:
     hand: HandGeometry
     shown: BrowserScene
 
-    @cached_property
-    def distance(self) -> SurfaceDistanceGrid:
-        """Distances from the object's surface, for pictures."""
-        return SurfaceDistanceGrid(object_mesh(self.scene))
-
     @property
     def settings(self) -> dict[str, str]:
         """Engine, object and hand as they are simulated: words by their names."""
@@ -233,12 +227,8 @@ class RunCache:
         `_journal` tells rows of one number in different journals apart.
         """
         found, origin = self._success(int(number))
-        loaded = self._scenes(origin.scene).get()
-        poses, joints = settled_poses(found), found["joints"].astype(np.float64)
-        hands = PlacedHands(loaded.scene, found, poses, joints)
-        camera = common_camera(hands, *GRASP_PIXELS, FIRST_VIEW)
-        (image,) = paint_hands(hands, camera, loaded.distance)
-        return clear_png(image)
+        scene = self._scenes(origin.scene).get().scene
+        return hand_picture(scene, found, GRASP_PIXELS, FIRST_VIEW)
 
     def _load_scene(self, digest: str) -> LoadedScene:
         scene = self._records.scene(self._job, self._run, digest)
