@@ -121,7 +121,7 @@ if not (PUBLIC_HANDS / "leap_hand").is_dir():
     ELSEWHERE[PUBLIC_HAND] = "QDGRASP_PUBLIC_HANDS names no folder with leap_hand, a hand of dex-urdf"
 
 LONG = re.compile(
-    r"qdgrasp (bench|campaign|analyse|rerank|verify|security check|jobs|pause|continue|drain|cancel)"
+    r"qdgrasp (campaign|analyse|rerank|verify|jobs|pause|continue|drain|cancel)"
     r"|qdgrasp-(router|coordinator|recorder|worker|monitor)"
     r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0|my_hand)"
     r"|qdgrasp export .*--holds-in"  # of what verify found
@@ -137,12 +137,10 @@ SECONDS = 400.0
 CUTS: tuple[tuple[str, str], ...] = (
     (r"(--protocol robust .*)--evaluations \d+", r"\1--evaluations 12"),
     (r"--top \d+", "--top 2"),
-    (r"--grasps-per-object \d+ --max-evaluations \d+", "--grasps-per-object 20 --max-evaluations 60"),
+    (r"--grasps \d+ --evaluations \d+", "--grasps 20 --evaluations 60"),
     (r"(qdgrasp-worker .*)--workers \d+", r"\1--workers 1"),
-    (r"(qdgrasp bench.*)--workers \d+", r"\1--workers 2"),
     (r"--sample \d+", "--sample 5"),
     (r"--pin --grace \d+", "--pin --grace 1"),
-    (r"^qdgrasp bench", "qdgrasp bench --seconds 0.2"),
     (r"^(qdgrasp gripper check leap_hand/.*)", r"\1; [ $? = 2 ]"),  # it has a fault, as the page says
     (r"ycb_mug", "mug"),
     (r"security init security --host router", "security init for-containers --host 127.0.0.1"),
@@ -225,7 +223,7 @@ def service(text: str) -> str | None:
 STANDING = (
     "qdgrasp run --gripper panda --object mug --job mugs --workers 1 --evaluations 1000000 --out standing"
 )
-ASKS = r"qdgrasp (jobs|pause|continue|drain|cancel)|qdgrasp-(monitor|worker|recorder)|qdgrasp security check"
+ASKS = r"qdgrasp (jobs|pause|continue|drain|cancel)|qdgrasp-(monitor|worker|recorder)"
 """Lines that want a job to be there."""
 
 

@@ -12,8 +12,10 @@ from tests.docs.pages import PUBLIC_HANDS, ROOT, blocks
 from tests.system.commands import Commands
 
 import qdgrasp
+from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.storage.job_folder import JobRecord
 from qdgrasp_coordinator.storage.outputs import LOGS
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 
 RUNS = """
 [defaults]
@@ -169,8 +171,14 @@ def copy_of(name: str) -> Maker:
     return lambda prepared, path: shutil.copytree(prepared.make(name), path) and None
 
 
-def reference(name: str) -> Maker:
-    return lambda prepared, path: prepared("reference", "build", prepared.make(name), "--out", path)
+def reference(prepared: Prepared, path: Path) -> None:
+    """A reference set of the cells that a run found on the cube."""
+    with RunFolder.open(prepared.make("runs/cube")).journal() as journal:
+        found = np.unique(cells(journal.successes()["base_to_object"][:, :3]), axis=0)
+    np.savez(
+        path,
+        **{"rubiks_cube.cm": found.astype(np.int16), "rubiks_cube.fitness": np.full(len(found), 2, np.uint8)},
+    )
 
 
 def poses(prepared: Prepared, path: Path) -> None:
@@ -205,8 +213,7 @@ NEEDED = {"library.csv": ("parts",)}
 """Files and folders that one of these names."""
 MAKERS: dict[str, Maker] = {
     "all": runs,
-    "S_G_panda_2f.npz": reference("runs/cube"),
-    "S_G_part.npz": reference("runs/part-s0"),
+    "S_G_panda_2f.npz": reference,
     "bracket.stl": bracket,
     "cup.stl": lambda _, path: trimesh.creation.annulus(30, 35, 80, sections=16).export(path) and None,
     "deploy": campaigns,
