@@ -3,12 +3,14 @@
 import os
 import re
 import shlex
+import shutil
 import signal
 import socket
 import subprocess
 import sys
-import threading
-from dataclasses import dataclass, field
+import tempfile
+import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from tests.common import free_port, own_endpoint
@@ -93,16 +95,12 @@ def words(line: Line) -> list[str]:
     return found[:end]
 
 
-PUBLIC_HANDS = Path(os.environ.get("QDGRASP_PUBLIC_HANDS") or "no folder is named")
-"""The folder `robots/hands` of dex-urdf."""
-PUBLIC_HAND = r".*\bleap"
-"""Lines with a hand of that folder."""
-
 ELSEWHERE = {
     r"make ": "Make's targets are what `make` itself, CI and the tests run",
     r"python3\.11 -m venv|/opt/qdgrasp/bin/pip": "installs the package from the network",
     r"sh deploy/container/trim\.sh|/opt/qdgrasp/bin/qdgrasp-worker": "needs an environment from the network",
     r"git clone ": "fetches from the network",
+    r".*\bleap": "needs a hand of dex-urdf",
     r"pip install viser": "installs the package from the network",
     r"python examples/viser_grasps\.py": "needs viser; tests/examples has a stand-in of it",
     r"\. \.venv/bin/activate": "enters the environment, in which tests are already",
@@ -117,8 +115,6 @@ ELSEWHERE = {
     r"qdgrasp asset fetch": "fetches gigabytes from the network; it has tests with a server of their own",
 }
 """Lines that are not run, by their beginning, with the reason; ours are parsed all the same."""
-if not (PUBLIC_HANDS / "leap_hand").is_dir():
-    ELSEWHERE[PUBLIC_HAND] = "QDGRASP_PUBLIC_HANDS names no folder with leap_hand, a hand of dex-urdf"
 
 LONG = re.compile(
     r"qdgrasp (campaign|analyse|rerank|verify|jobs|pause|continue|drain|cancel)"
@@ -141,7 +137,6 @@ CUTS: tuple[tuple[str, str], ...] = (
     (r"(qdgrasp-worker .*)--workers \d+", r"\1--workers 1"),
     (r"--sample \d+", "--sample 5"),
     (r"--pin --grace \d+", "--pin --grace 1"),
-    (r"^(qdgrasp gripper check leap_hand/.*)", r"\1; [ $? = 2 ]"),  # it has a fault, as the page says
     (r"ycb_mug", "mug"),
     (r"security init security --host router", "security init for-containers --host 127.0.0.1"),
     (r"^(qdgrasp security add security \w+ (\S+))", r"\1 --host 127.0.0.1 && cp -r security/\2 \2"),
@@ -229,32 +224,22 @@ ASKS = r"qdgrasp (jobs|pause|continue|drain|cancel)|qdgrasp-(monitor|worker|reco
 
 @dataclass
 class Started:
-    """A process that was started, and what it has said."""
+    """A process that was started, and the file of what it says."""
 
     line: str
-    process: subprocess.Popen[str]
-    said: str = ""
-    _is_over: bool = False
-    _news: threading.Condition = field(default_factory=threading.Condition)
+    process: subprocess.Popen[bytes]
+    file: Path
 
-    def __post_init__(self) -> None:
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        for piece in iter(lambda: os.read(self.process.stdout.fileno(), 4096), b""):  # type: ignore[union-attr]
-            with self._news:
-                self.said += piece.decode(errors="replace")
-                self._news.notify_all()
-        with self._news:
-            self._is_over = True
-            self._news.notify_all()
+    @property
+    def said(self) -> str:
+        """All that it has said by now."""
+        return self.file.read_text(errors="replace")
 
     def says(self, pattern: str) -> None:
         """Wait until it has said something."""
-        with self._news:
-            self._news.wait_for(lambda: re.search(pattern, self.said) or self._is_over, SECONDS)
+        end = time.monotonic() + SECONDS
+        while not re.search(pattern, self.said) and self.process.poll() is None and time.monotonic() < end:
+            time.sleep(0.05)
         assert re.search(pattern, self.said), f"never said '{pattern}': {self.line}\n{self.said}"
 
     def ends(self, *codes: int) -> None:
@@ -263,7 +248,6 @@ class Started:
             code = self.process.wait(SECONDS)
         except subprocess.TimeoutExpired:
             code = None
-        self._reader.join(SECONDS)
         assert code in codes, f"ended with {code}: {self.line}\n{self.said[-3000:]}"
 
     def stop(self) -> None:
@@ -296,6 +280,7 @@ class PageRun:
             "COLUMNS": "100",
         }
         self._started: list[Started] = []
+        self._said = Path(tempfile.mkdtemp())
 
     def tell(self, lines: list[Line]) -> None:
         """Carry the lines of a block out; what goes on until it is stopped is stopped at its end."""
@@ -321,6 +306,7 @@ class PageRun:
             started.stop()
         for started in self._started:
             started.process.wait(SECONDS)
+        shutil.rmtree(self._said)
 
     def _stand(self, texts: list[str]) -> list[Started]:
         """Start jobs where lines ask for one, and none of them listens there."""
@@ -350,16 +336,18 @@ class PageRun:
             started.ends(0, 1, 128 + signal.SIGTERM, -signal.SIGTERM)
 
     def _start(self, text: str, line: Line | None = None) -> Started:
-        process = subprocess.Popen(
-            ["/bin/bash", "-c", f"set -o pipefail; {_without_shell(text)}"],
-            cwd=self.home,
-            env=self._environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-        started = Started(f"{text}  ({line})" if line else text, process)  # type: ignore[arg-type]
+        file = self._said / f"{len(self._started)}.txt"
+        with file.open("wb") as out:
+            process = subprocess.Popen(
+                ["/bin/bash", "-c", f"set -o pipefail; {_without_shell(text)}"],
+                cwd=self.home,
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        started = Started(f"{text}  ({line})" if line else text, process, file)
         self._started.append(started)
         return started
 

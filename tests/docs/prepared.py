@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from tests.assets import example_hands, example_mjcf
-from tests.docs.pages import PUBLIC_HANDS, ROOT, blocks
+from tests.docs.pages import ROOT, blocks
 from tests.system.commands import Commands
 
 import qdgrasp
@@ -217,9 +217,6 @@ MAKERS: dict[str, Maker] = {
     "bracket.stl": bracket,
     "cup.stl": lambda _, path: trimesh.creation.annulus(30, 35, 80, sections=16).export(path) and None,
     "deploy": campaigns,
-    "dex-urdf/robots/hands/leap_hand": lambda _, path: (
-        shutil.copytree(PUBLIC_HANDS / "leap_hand", path) and None
-    ),
     "examples": lambda _, path: shutil.copytree(ROOT / "examples", path) and None,
     "gripper.xml": lambda _, path: path.write_text(example_mjcf.LINKAGE) and None,
     "grasps.yaml": grasps_file,

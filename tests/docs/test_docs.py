@@ -121,14 +121,6 @@ def test_a_reason_is_given_for_something(pattern: str) -> None:
     assert any(re.match(pattern, line.text) for line in LINES), "no line is like that any more"
 
 
-def test_lines_with_a_public_hand_are_run_where_its_files_are() -> None:
-    lines = [line.text for line in LINES if re.match(pages.PUBLIC_HAND, line.text)]
-    if why := pages.ELSEWHERE.get(pages.PUBLIC_HAND):
-        pytest.skip(f"{len(lines)} lines are not run: {why}")
-    assert lines
-    assert not any(map(pages.reason, lines))
-
-
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_commands_in_sentences_have_the_flags_that_they_are_given(page: Path) -> None:
     for said in pages.SPAN.findall(pages.FENCE.sub("", page.read_text(encoding="utf-8"))):
