@@ -5,14 +5,12 @@ import signal
 import sys
 import threading
 import time
-from copy import copy
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from qdgrasp_protocol.errors import InputError, QdgraspError
@@ -70,85 +68,6 @@ VersionOption = Annotated[
     typer.Option("--version", is_eager=True, callback=_print_version, help="Print the version, and end."),
 ]
 """The --version option of every program, handled before its function."""
-
-HELP_COLUMNS = 120  # Columns of a help text, at most
-Sections = dict[str, list[tuple[str, str]]]
-"""Lines of a help text, each a name and what it means, by the heading that they stand below."""
-
-
-class HelpCommand(TyperCommand):
-    """A command with --version, and a section of help for each `rich_help_panel` of its options."""
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters of the command, --version and --help last."""
-        return with_version(super().get_params(ctx), ctx)
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the sections in the order of their first options, and the additions to them."""
-        more: Sections = getattr(self.callback, "more_help", {})
-        write_sections(formatter, option_sections(self, ctx) | more)
-
-
-class HelpGroup(TyperGroup):
-    """Commands with --version, and a section of their help for each `rich_help_panel` of theirs."""
-
-    panels: tuple[str, ...] = ()
-    """Headings of the sections in their order; others follow."""
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters of the group, --version and --help last."""
-        return with_version(super().get_params(ctx), ctx)
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands, and then the options."""
-        sections: Sections = {panel: [] for panel in self.panels}
-        width = max(map(len, self.commands))
-        for name, command in self.commands.items():
-            panel = getattr(command, "rich_help_panel", None) or "Commands"
-            line = name.ljust(width), command.get_short_help_str(sys.maxsize)
-            sections.setdefault(panel, []).append(line)
-        write_sections(formatter, sections | option_sections(self, ctx))
-
-
-def grouped_help(app: typer.Typer, cls: type[HelpGroup] = HelpGroup) -> None:
-    """Have every command of an app say its version, and group its help."""
-    app.info.cls = cls
-    app.info.context_settings = {"max_content_width": HELP_COLUMNS}
-    for command in app.registered_commands:
-        command.cls = HelpCommand
-    for group in app.registered_groups:
-        if group.typer_instance:
-            grouped_help(group.typer_instance)
-
-
-def with_version(parameters: list[Any], context: Any) -> list[Any]:
-    """Return the parameters of a command with its program's --version among them, before --help."""
-    shown = [each for each in context.find_root().command.params if "--version" in each.opts]
-    if context.parent is None or not shown:
-        return parameters
-    version_ = copy(shown[0])
-    version_.expose_value = False
-    return [*parameters[:-1], version_, parameters[-1]]
-
-
-def option_sections(command: TyperCommand | TyperGroup, context: Any) -> Sections:
-    """Return the help of a command's arguments and options, by their panels."""
-    sections: Sections = {"Arguments": [], "Options": []}
-    for each in command.get_params(context):
-        usual = f"{each.param_type_name.capitalize()}s"
-        if line := each.get_help_record(context):
-            sections.setdefault(getattr(each, "rich_help_panel", None) or usual, []).append(line)
-    return sections
-
-
-def write_sections(formatter: Any, sections: Sections) -> None:
-    """Write the sections of a help text that have lines, each with its heading."""
-    for heading, lines in sections.items():
-        if not lines:
-            continue
-        with formatter.section(heading):
-            formatter.write_dl(lines)
-
 
 BOUND_PREFIX = "Input should be "  # Beginning of the words on a number out of bounds, or on no number
 CHOICE_PREFIX = "Value error, "  # The same of a choice that is not one
@@ -246,12 +165,10 @@ def _wait_for_signal(end: int) -> None:
 
 
 def _print_usage_error(name: str, error: TyperException) -> int:
-    """Report a wrong command line and return its exit code; an empty one prints the help."""
-    words = error.format_message()
-    if words.startswith("Usage: "):
-        print(words, file=sys.stderr, flush=True)  # noqa: T201  # help is for a person who asked for nothing else
-        return InputError.exit_code
-    return _print_error(name, usage_error(error, name), InputError.exit_code)
+    """Report a wrong command line and return its exit code; an empty one printed the help."""
+    if error.format_message():
+        _print_error(name, usage_error(error, name), InputError.exit_code)
+    return InputError.exit_code
 
 
 def _print_error(name: str, sentence: str, code: int) -> int:

@@ -106,7 +106,7 @@ def list_assets(as_json: options.Json = False) -> None:
 @asset_app.command()
 def fetch(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAMES]...", help="Scans, ycb_<name>; default: all absent.")
+        list[str] | None, typer.Argument(metavar="[NAMES]...", help="Scans, ycb_NAME; default: all absent.")
     ] = None,
     home: Annotated[
         str, typer.Option("--from", envvar="QDGRASP_YCB_URL", help="Address of the YCB set or of a mirror.")

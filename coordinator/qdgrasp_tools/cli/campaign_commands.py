@@ -68,7 +68,7 @@ def campaign(
         str | None,
         typer.Option(metavar="I/N", help="Only the runs of the I-th of N shares, as a separate job."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="The campaign's folder; default runs/<file>.")] = None,
+    out: Annotated[Path | None, typer.Option(help="The campaign's folder; default runs/FILE.")] = None,
     seconds: options.Seconds = None,
     workers: options.Workers = None,
     listen: options.Listen = None,
@@ -90,7 +90,7 @@ def campaign(
     said for all. Both are campaigns of meshes, and take the options for meshes and all keys of a spec. With
     --skip-unusable the folder's skipped.csv names what is left out; see docs/objects.md.
 
-    --shard shares the runs among several coordinators, each with a job and a folder, runs/<file>-IofN.
+    --shard shares the runs among several coordinators, each with a job and a folder, runs/FILE-IofN.
 
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
 

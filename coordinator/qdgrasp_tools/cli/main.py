@@ -6,7 +6,7 @@ from collections.abc import Callable
 import typer
 
 from qdgrasp_protocol import cli_support
-from qdgrasp_protocol.cli_support import HelpGroup, grouped_help, run_command
+from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.process import configure_logging
 from qdgrasp_tools.cli import (
     asset_commands,
@@ -23,7 +23,7 @@ from qdgrasp_tools.cli import (
 app = typer.Typer(
     pretty_exceptions_enable=False,
     no_args_is_help=True,
-    rich_markup_mode=None,
+    rich_markup_mode="markdown",
     help="Archives of diverse, robust 6-DoF grasps by quality-diversity search.",
     epilog="Programs of a job on several machines, each with --help: qdgrasp-router, qdgrasp-coordinator, "
     "qdgrasp-recorder, qdgrasp-worker, and qdgrasp-monitor, which watches.",
@@ -78,20 +78,14 @@ PANELS: dict[str, dict[Callable[..., None] | typer.Typer, str]] = {
 """The commands, and groups of commands, with a sentence each, by the headings of the help."""
 
 
-class CommandTable(HelpGroup):
-    """The commands of `qdgrasp`."""
-
-    panels = tuple(PANELS)
-
-
 for panel, commands in PANELS.items():
     for command, sentence in commands.items():
         if isinstance(command, typer.Typer):
             app.add_typer(command, short_help=sentence, rich_help_panel=panel)
         else:
             name = command.__name__.removesuffix("_")
-            app.command(name, short_help=sentence, rich_help_panel=panel)(command)
-grouped_help(app, CommandTable)
+            keys = getattr(command, "epilog", None)
+            app.command(name, short_help=sentence, rich_help_panel=panel, epilog=keys)(command)
 
 
 def main() -> None:

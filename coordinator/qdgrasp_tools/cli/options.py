@@ -70,7 +70,9 @@ def spec_flags(
         called.__dict__["__signature__"] = signature
         called.__annotations__ = {each.name: each.annotation for each in signature.parameters.values()}
         others_set = [key for key in sets if FLAG_NAMES.get(key, key) not in signature.parameters]
-        called.__dict__["more_help"] = {"Keys for --set": [(key, KEY_TEXTS[key]) for key in others_set]}
+        if others_set:
+            lines = "\n\n".join(f"* {key}: {KEY_TEXTS[key]}" for key in others_set)
+            called.__dict__["epilog"] = f"Keys for --set:\n\n{lines}"
         return called
 
     return decorate

@@ -73,7 +73,9 @@ def run(
     ] = None,
     warm_start: options.WarmStarts = None,
     seconds: options.Seconds = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder; default runs/<what it is>.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Run folder; default: one in runs, named after what it is.")
+    ] = None,
     workers: options.Workers = None,
     job: options.Job = None,
     listen: options.Listen = None,
@@ -234,9 +236,7 @@ def rerank(
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
     job: options.Job = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder; default runs/<name of the run>-<protocol>.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; default runs/RUN-PROTOCOL.")] = None,
 ) -> None:
     """Score the best grasps of a run again, in many disturbed trials each, and rank them by eta.
 
