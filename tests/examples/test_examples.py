@@ -144,7 +144,7 @@ def test_of_the_three_best_grasps_two_are_held_by_the_hand_of_a_urdf_in_mujoco(
     (home / "jaw.toml").write_text(example_hands.JAW_TOML)
     if gripper == "hand.toml":  # four fingers of light links
         (home / "hand.urdf").write_text(synthetic_hands.THUMB_HAND)
-        commands.succeed("gripper", "new", "hand.urdf", "--repair", "--yes", "-o", gripper)
+        commands.succeed("gripper", "new", "hand.urdf", "--repair", "-o", gripper)
     trimesh.creation.box((0.04, 0.06, 0.12)).export(home / "part.stl")
     scene = ("--gripper", gripper, "--object", "part.stl", "--mass", 0.3, "--engine", "mujoco")
     commands.succeed(

@@ -77,13 +77,10 @@ class GripperDraft:
     """Signs that the guess is wrong, each with the flag that corrects it."""
 
 
-def draft_gripper(
-    robot: Urdf, urdf: str, overrides: DraftOverrides, earlier: GripperDraft | None = None
-) -> GripperDraft:
+def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperDraft:
     """Draft the gripper file of the hand in `robot`, whose URDF it names as `urdf`.
 
-    An `earlier` draft of it, from the same base link and with the same joints and fingers stated, replaces
-    the search for its closing. Raises `UnknownName` if `overrides` name a link or joint that the hand does
+    Raises `UnknownName` if `overrides` name a link or joint that the hand does
     not have, `ImpossibleValue` for a joint beyond its limits or an approach axis that is no direction, and
     `AssetError` if a mesh cannot be read, or no finger can be found and none is named.
     """
@@ -92,11 +89,8 @@ def draft_gripper(
         base, base_reason = guess_base(robot)
     elif base not in robot.links:
         raise UnknownName("link", base, robot.links)
-    known = earlier.closing if earlier is not None and earlier.file.base_link == base else None
-    body = known.body if known else read_hand_model(robot, base)
-    if known:
-        _check_names(body, overrides)
-    closing = known or draft_closing(body, overrides)
+    body = read_hand_model(robot, base)
+    closing = draft_closing(body, overrides)
     if not closing.fingers and not overrides.finger_links:
         limbs = [joint.child for joint in body.robot.joints if joint.moves]
         why = f"its moving links ({', '.join(limbs)}) have no <collision>"

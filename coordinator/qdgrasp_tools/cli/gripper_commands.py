@@ -1,23 +1,19 @@
-"""`qdgrasp gripper`: write the file of a custom hand with guessed values, and check it.
-
-`qdgrasp gripper new` asks on the terminal for values that have no flag, with the guesses as defaults.
-"""
+"""`qdgrasp gripper`: write the file of a custom hand with guessed values, and check it."""
 
 import math
 import shlex
-import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from qdgrasp_assets.asset_check import examine_gripper
 from qdgrasp_assets.asset_report import examine_draft, examine_urdf, hand_faults, read_hand
 from qdgrasp_assets.catalog import find_gripper
-from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper, draft_toml
+from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf
 from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_assets.grippers.hand_model import guess_base
@@ -26,61 +22,16 @@ from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, SharedFolder
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue, QdgraspError
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue
 from qdgrasp_protocol.text import parse_numbers
 from qdgrasp_tools.cli import asset_commands, options
 
 Vector3 = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class GripperQuestion:
-    """A question about a hand."""
-
-    field: str  # Field of `DraftOverrides`, and of the file
-    words: str
-    read: Callable[[str, str], Any]  # Parses an answer, given its field and its text; raises ImpossibleValue
-
-
-def ask_missing(robot: Urdf, urdf: str, given: DraftOverrides) -> GripperDraft:
-    """Ask on the terminal for values that are not given; an empty answer takes the guess."""
-    draft = draft_gripper(robot, urdf, given)
-    for question in QUESTIONS:
-        if getattr(given, question.field) is None:
-            draft, given = _answered(question, robot, draft, given)
-    return draft
-
-
-def _answered(
-    question: GripperQuestion, robot: Urdf, guessed: GripperDraft, given: DraftOverrides
-) -> tuple[GripperDraft, DraftOverrides]:
-    guess = _shown_default(getattr(guessed.file, question.field))
-    echo(f"# {guessed.reasons[question.field]}")
-    while True:
-        answer = typer.prompt(question.words, default=guess)
-        if answer == guess:
-            return guessed, given
-        try:
-            answered = replace(given, **{question.field: question.read(question.field, answer)})
-            return draft_gripper(robot, guessed.file.urdf, answered, guessed), answered
-        except QdgraspError as error:
-            echo(str(error))
-
-
-def _shown_default(value: Any) -> str:
-    if isinstance(value, str):
-        return value
-    return ",".join(_shown_default(each) for each in value) if isinstance(value, Iterable) else f"{value:g}"
-
-
-def parse_names(_: str, text: str) -> tuple[str, ...]:
+def parse_names(text: str) -> tuple[str, ...]:
     """Parse names between commas."""
     return tuple(word.strip() for word in text.split(",") if word.strip())
-
-
-def parse_text(_: str, answer: str) -> str:
-    """Return the answer without spaces around it."""
-    return answer.strip()
 
 
 def parse_vector(field: str, text: str) -> Vector3:
@@ -119,16 +70,6 @@ def _parse_numbers(field: str, text: str, count: int, expected: str) -> list[flo
     return found
 
 
-QUESTIONS = (
-    GripperQuestion("base_link", "Base link, on which the hand hangs", parse_text),
-    GripperQuestion(
-        "approach_axis", "Approach axis, from the palm to the object, base link's frame", parse_vector
-    ),
-    GripperQuestion("palm_offset", "From the base link to the palm along it [m]", parse_number),
-    GripperQuestion("standoff", "Stand-off, from the palm to the surface: least,greatest [m]", parse_pair),
-    GripperQuestion("finger_links", "Finger links, whose touch makes a success", parse_names),
-    GripperQuestion("licence", "Licence of the hand's files", parse_text),
-)
 gripper_app = typer.Typer(
     name="gripper", no_args_is_help=True, help="Custom hands: make their files, and check them."
 )
@@ -182,15 +123,13 @@ def new(
         bool,
         typer.Option("--repair", help="Write a copy of the hand that the simulator takes, and use it."),
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask nothing: take the guesses.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace what is there.")] = False,
 ) -> None:
     """Write the file of a gripper, with a picture beside it:
     what flags say, the rest guessed from the URDF, each line with its reason.
 
-    On a terminal it asks, with the guesses as defaults. --repair writes a copy of the hand beside the file,
-    with masses where there are none, meshes in metres, hollow ones in convex parts, and the base link in the
-    middle of the fingers.
+    --repair writes a copy of the hand beside the file, with masses where there are none, meshes in metres,
+    hollow ones in convex parts, and the base link in the middle of the fingers.
 
     Example: qdgrasp gripper new my_hand.urdf --licence BSD-3-Clause --repair
     """  # noqa: D205  # typer joins the lines
@@ -200,10 +139,10 @@ def new(
         approach_axis=None if approach_axis is None else parse_vector("approach-axis", approach_axis),
         palm_offset=palm_offset,
         standoff=None if standoff is None else parse_pair("standoff", standoff),
-        finger_links=None if fingers is None else parse_names("fingers", fingers),
+        finger_links=None if fingers is None else parse_names(fingers),
         opened=parse_positions("open", opened or ()),
         closed=parse_positions("closed", closed or ()),
-        free=None if free is None else parse_names("free", free),
+        free=None if free is None else parse_names(free),
         finger_roots=tuple(finger or ()),
         not_closing=tuple(not_closing or ()),
     )
@@ -212,11 +151,9 @@ def new(
     file.check()
     pictures = SharedFolder(target.parent, "name another path with --out")
     asset_commands.picture_file(pictures, target.name).check()
-    robot, asks = _single_tree(urdf), is_asked() and not yes
     with ExitStack() as until_written:
-        robot, given = _usable_robot(robot, given, file, until_written, repair=repair, asks=asks)
-        reference = _reference(robot.path, target)
-        made = ask_missing(robot, reference, given) if asks else draft_gripper(robot, reference, given)
+        robot, given = _usable_robot(_single_tree(urdf), given, file, until_written, repair=repair)
+        made = draft_gripper(robot, _reference(robot.path, target), given)
         found = examine_draft(robot, made, str(target))
         asset_commands.print_findings(found)
         asset_commands.refuse_faulty("gripper", found, "was not written")
@@ -259,11 +196,6 @@ def check(
     asset_commands.refuse_faulty("gripper", found)
 
 
-def is_asked() -> bool:
-    """Return True if standard input is a terminal."""
-    return sys.stdin.isatty()
-
-
 def _single_tree(urdf: Path) -> Urdf:
     robot, found, translated = read_hand(urdf)
     if robot is None:
@@ -274,7 +206,7 @@ def _single_tree(urdf: Path) -> Urdf:
 
 
 def _usable_robot(
-    robot: Urdf, given: DraftOverrides, file: OutFile, until_written: ExitStack, *, repair: bool, asks: bool
+    robot: Urdf, given: DraftOverrides, file: OutFile, until_written: ExitStack, *, repair: bool
 ) -> tuple[Urdf, DraftOverrides]:
     """The robot, or a repaired copy of its hand, with the base link that is to be used.
 
@@ -285,14 +217,11 @@ def _usable_robot(
         return robot, given
     found = hand_faults(robot, base)
     if found and not repair:
-        repair = asks and _wants_copy(found)
-    if found and not repair:
         raise AssetError(
             f"The URDF '{robot.path}' cannot be used as it is: {'; and '.join(found)}. "
             "--repair writes a copy of the hand in which what can be repaired is."
         )
-    translates = is_mjcf(robot.path)
-    if not repair and not translates:
+    if not repair and not is_mjcf(robot.path):
         return robot, given
     OutFile(repaired_urdf(file.path), force=file.force).check()
     OutFolder(repaired_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
@@ -302,7 +231,7 @@ def _usable_robot(
         robot,
         base,
         file.path,
-        _print_examination,
+        lambda sentence: echo(f"{sentence} ...", err=True),
         may_centre=may_centre,
         overrides=given,
         as_it_is=not repair,
@@ -314,16 +243,6 @@ def _usable_robot(
     return copy.robot, replace(
         given, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
     )
-
-
-def _print_examination(sentence: str) -> None:
-    echo(f"{sentence} ...", err=True)
-
-
-def _wants_copy(found: Iterable[str]) -> bool:
-    for fault in found:
-        echo(f"WRONG {fault}", err=True)
-    return typer.confirm("Write a repaired copy of the hand, and use that?", default=True)
 
 
 def _reference(urdf: Path, target: Path) -> str:

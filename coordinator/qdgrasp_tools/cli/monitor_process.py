@@ -3,9 +3,8 @@
 import json
 import logging
 import time
-from collections.abc import Container, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -31,29 +30,12 @@ from qdgrasp_tools.monitor.terminal.text_tables import glyphs_of
 
 log = structlog.get_logger()
 INTERVAL = 1.0  # seconds between two lines of JSON
-FLAGS = {
-    "once": "--once",
-    "as_json": "--json",
-    "ascii_only": "--ascii",
-    "web": "--web",
-    "token": "--token",
-    "token_file": "--token-file",
-}
-EXCLUSIVE_FLAGS = (
-    ("once", "web"),
-    ("as_json", "web"),
-    ("ascii_only", "web"),
-    ("as_json", "ascii_only"),
-    ("token", "token_file"),
-)
-NEEDED_FLAGS = (("token", "web"), ("token_file", "web"))  # The first flag needs the second
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 @app.command()
 def monitor(
-    context: typer.Context,
     directory: JobDir = None,
     connect: cli_support.ConnectOption = None,
     security: cli_support.SecurityOption = None,
@@ -72,11 +54,8 @@ def monitor(
         typer.Option(
             envvar="QDGRASP_TOKEN",
             help="Token that a browser must show; beyond loopback there always is one, if need be a new one. "
-            "Other users of this machine read it in the list of processes: rather use --token-file.",
+            "Other users of this machine read it in the list of processes: rather set the variable.",
         ),
-    ] = None,
-    token_file: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The same, from the first line of a file.")
     ] = None,
     wait: cli_support.WaitOption = SESSION_SECONDS,
     version: cli_support.VersionOption = False,
@@ -90,8 +69,9 @@ def monitor(
 
     Example: qdgrasp-monitor runs/mugs
     """
-    check_flags(typed_flags(context))
     if web is not None:
+        if once or as_json or ascii_only:
+            raise InputError("--web serves a page: leave out --once, --json and --ascii, or it.")
         check_packages("--web", *EXTRAS["monitor"])
     configure_logging("monitor", level=logging.INFO if web else logging.ERROR)
     place = JobPlace.of(directory, connect, security)
@@ -117,7 +97,7 @@ def monitor(
         bus = stack.enter_context(ZenohBus.connect(endpoint, wait, stop, credentials))
         feed = stack.enter_context(Feed(bus, job))
         if web is not None:
-            serve_page(bus, feed, web, read_token(token_file) if token_file else token or "", stop)
+            serve_page(bus, feed, web, token or "", stop)
         elif as_json:
             stream_looks(feed, endpoint, stop)
         else:
@@ -125,34 +105,6 @@ def monitor(
             objects = ObjectFeed(BusRecords(bus).objects)
             watch_jobs(feed, objects, endpoint, console, glyphs_of(console, ascii_only=ascii_only), stop)
     raise typer.Exit(stop.exit_code)
-
-
-def typed_flags(context: typer.Context) -> set[str]:
-    """Return the flags given on the command line, by the names of their parameters."""
-    sources = {name: context.get_parameter_source(name) for name in context.params}
-    return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
-
-
-def check_flags(given: Container[str]) -> None:
-    """Check that every flag has an effect; raises InputError for one that has not."""
-    for one, other in EXCLUSIVE_FLAGS:
-        if one in given and other in given:
-            raise InputError(f"{FLAGS[one]} and {FLAGS[other]} do not go together; leave out one of them.")
-    for one, other in NEEDED_FLAGS:
-        if one in given and other not in given:
-            raise InputError(f"{FLAGS[one]} does nothing without {FLAGS[other]}; add it, or leave it out.")
-
-
-def read_token(file: Path) -> str:
-    """Return the first line of a file; raises InputError if it is empty or cannot be read."""
-    try:
-        lines = file.read_text("utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text"
-        raise InputError(f"--token-file {file} cannot be read: {reason}.") from None
-    if not lines or not lines[0].strip():
-        raise InputError(f"--token-file {file} has no token in its first line.")
-    return lines[0].strip()
 
 
 def chosen_views(views: Sequence[JobView], job: str | None) -> Sequence[JobView]:

@@ -9,7 +9,6 @@ from typer.testing import CliRunner
 
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue
-from qdgrasp_tools.cli import gripper_commands as command
 from qdgrasp_tools.cli.gripper_commands import gripper_app
 
 
@@ -81,17 +80,6 @@ def test_a_repaired_copy_lies_beside_the_file_and_is_what_it_names(gripper, bare
     assert "repaired: the link 'palm' is given a mass" in gripper("new", "jaw.urdf", "--repair").stdout
     assert read_gripper_file(Path("jaw.toml")).urdf == "jaw_repaired.urdf"
     assert gripper("check", "jaw.toml").exit_code == 0
-
-
-def test_on_a_terminal_it_asks_with_guesses_as_defaults(gripper, monkeypatch):
-    monkeypatch.setattr(command, "is_asked", lambda: True)
-    done = gripper("new", "jaw.urdf", input="plam\n\n\nnear\n0.02\n\nleft,right\nMIT\n")
-    assert done.exit_code == 0, done.output
-    assert "palm_offset must be a number such as 0.05, got 'near'" in done.stdout
-    assert "Unknown link 'plam'. Did you mean 'palm'" in done.stdout
-    assert "# 2 moving limbs go out from it" in done.stdout
-    file = read_gripper_file(Path("jaw.toml"))
-    assert (file.palm_offset, file.licence, file.approach_axis) == (0.02, "MIT", (0.0, 0.0, 1.0))
 
 
 def test_check_says_all_that_is_wrong_and_ends_so(gripper):
