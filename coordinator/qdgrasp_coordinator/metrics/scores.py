@@ -80,76 +80,58 @@ def survival(rows: Rows) -> NDArray[np.uint8]:
 class TrialSums:
     """Sums up the trials of each success while the blocks of a journal pass in order."""
 
+    # A journal has the trials of successes in the order of these, and as many of each: so the trials of the
+    # n-th success of a run are the n-th piece of all its trials.
+
     def __init__(self, plan: TrialPlan) -> None:
-        self._plan = plan
-        self._waiting: Rows | None = None  # The successes of the last generation, in journal order
-        self._sums, self._counts = np.zeros(0), np.zeros(0, np.int64)  # Of their trials so far
+        self._trials = plan.trials
+        self._waiting: Rows | None = None  # Successes whose trials are not all there, in journal order
+        self._fitness = np.zeros(0, np.float32)  # Of the trials of the first of them
 
     def take(self, rows: Rows) -> Rows:
-        """The nominal successes whose generation ended before the last of these rows.
+        """Return the nominal successes (n,) whose last trial is among these rows, in journal order.
 
-        They are (n,), in journal order. Their `fitness` is the score, their `trial` the number of trials.
-        Where the protocol has no trials they are those among the rows, with their fitness. Those whose trials
-        are not all there are left out.
+        Their `fitness` is the score, their `trial` the number of trials. Where the protocol has no trials
+        they are those among the rows, with their fitness.
         """
-        if not self._plan.trials or not len(rows):
-            return successes(rows)
-        every = rows if self._waiting is None else join_rows([self._waiting, rows])
-        found, sums, counts = _trials_of_successes(every)
-        sums[: len(self._sums)] += self._sums
-        counts[: len(self._counts)] += self._counts
-        is_open = every["generation"][found] == rows["generation"][-1]
-        n = int(is_open.argmax()) if is_open.any() else len(found)
-        self._waiting = take_rows(every, found[n:])
-        self._sums, self._counts = sums[n:], counts[n:]
-        return self._scored(take_rows(every, found[:n]), sums[:n], counts[:n])
-
-    def rest(self) -> list[Rows]:
-        """The scored successes that `take` has not returned: those of the last generation so far."""
-        waiting = self._waiting
-        return [] if waiting is None else [self._scored(waiting.copy(), self._sums, self._counts)]
-
-    def _scored(self, found: Rows, sums: NDArray[np.float64], counts: NDArray[np.int64]) -> Rows:
-        found["fitness"], found["trial"] = sums, counts
-        return take_rows(found, counts >= self._plan.trials)
+        found = successes(rows)
+        if not self._trials:
+            return found
+        every = found if self._waiting is None else join_rows([self._waiting, found])
+        fitness = np.concatenate([self._fitness, rows["fitness"][rows["trial"] > 0]])
+        n = len(fitness) // self._trials
+        scored, self._waiting = take_rows(every, np.s_[:n]), take_rows(every, np.s_[n:])
+        scored["fitness"], scored["trial"] = _sums(fitness, self._trials), self._trials
+        self._fitness = fitness[n * self._trials :]
+        return scored
 
 
-def _trials_of_successes(rows: Rows) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-    """Return places, sums and numbers of trials of the nominal successes among rows.
-
-    Each (n,), in journal order; sums are of fitness. The rows may begin anywhere, and be of several journals,
-    one behind the other: a trial is of the last success before it with the same key.
-    """
-    found, trials = np.flatnonzero(success_mask(rows)), np.flatnonzero(rows["trial"] > 0)
-    _, genomes = np.unique(genome_numbers(rows), return_inverse=True)
-    keys = genomes * len(rows) + np.arange(len(rows))  # ascending by genome, then by place
-    order = found[np.argsort(keys[found])]
-    behind = np.searchsorted(keys[order], keys[trials], side="right")
-    owner = np.append(-1, order)[behind]
-    is_its = (owner >= 0) & (genomes[owner] == genomes[trials])
-    places = np.searchsorted(found, owner[is_its])
-    sums = np.bincount(places, rows["fitness"][trials[is_its]], len(found)).astype(np.float64)
-    return found, sums, np.bincount(places, minlength=len(found)).astype(np.int64)
+def _sums(fitness: NDArray[np.float32], trials: int) -> Floats:
+    """Return the sums over each whole piece of so many trials: (n,)."""
+    n = len(fitness) // trials
+    return np.asarray(fitness[: n * trials].reshape(n, trials).sum(axis=1, dtype=np.float64))
 
 
 def scored_successes(blocks: Iterable[Rows], plan: TrialPlan) -> Iterator[Rows]:
     """The scored successes of a journal, some at a time; see `TrialSums.take`."""
-    scores = TrialSums(plan)
-    for block in blocks:
-        yield scores.take(block)
-    yield from scores.rest()
+    return map(TrialSums(plan).take, blocks)
 
 
-def known_scores(rows: Rows, plan: TrialPlan) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def known_scores(rows: Rows, plan: TrialPlan) -> tuple[Floats, NDArray[np.int64]]:
     """Return scores and numbers of trials of the nominal successes among rows: (n,).
 
-    The rows are consecutive ones of a journal, that may begin anywhere, or be joined of several. NaN where
-    trials are missing among them. Where the protocol has no trials, scores are fitness, and trials 0.
+    The rows are consecutive ones of a journal that may begin anywhere. NaN where trials are missing among
+    them. Where the protocol has no trials, scores are fitness, and trials 0.
     """
-    found, sums, counts = _trials_of_successes(rows)
-    if not plan.trials:
-        return rows["fitness"][found].astype(np.float64), counts
-    return np.where(counts >= plan.trials, sums, np.nan), counts
+    found = successes(rows)
+    if not plan.trials or not len(found):
+        return found["fitness"].astype(np.float64), np.zeros(len(found), np.int64)
+    # Trials of successes before these have lower numbers.
+    is_trial = (rows["trial"] > 0) & (genome_numbers(rows) >= genome_numbers(found)[0])
+    fitness, scores = rows["fitness"][is_trial], np.full(len(found), np.nan)
+    sums = _sums(fitness, plan.trials)
+    scores[: len(sums)] = sums
+    return scores, np.clip(len(fitness) - plan.trials * np.arange(len(found)), 0, plan.trials)
 
 
 def nominal_scores(journal: Rows, plan: TrialPlan) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

@@ -222,14 +222,6 @@ class ScoreCounts:
         for cell, score in zip(reached, scores, strict=True):
             self.best[cell] = max(score, self.best.get(cell, 0.0))
 
-    def with_rows(self, parts: Iterable[Rows]) -> "ScoreCounts":
-        """These and more, as new counts."""
-        made = ScoreCounts()
-        made.counts, made.best = self.counts.copy(), self.best.copy()
-        for rows in parts:
-            made.add(rows)
-        return made
-
     def mean(self, values: Iterable[float]) -> float | None:
         """Return the mean over all successes of a value for each entry of `counts`.
 
@@ -248,7 +240,7 @@ class SuccessMetrics:
     def __init__(self, plan: TrialPlan = NO_TRIALS) -> None:
         self._plan = plan
         self._trials = TrialSums(plan)
-        self._closed = ScoreCounts()  # of successes that have no more trials
+        self._scores = ScoreCounts()  # Of successes that have all of their trials
         self._bins = np.zeros(NU_SUMMARY_BINS, dtype=np.int64)
         self._near = 0
 
@@ -259,18 +251,13 @@ class SuccessMetrics:
         angles = nu_angles(found)
         self._bins += np.histogram(angles, bins=NU_SUMMARY_BINS, range=(0.0, math.pi))[0]
         self._near += int(np.count_nonzero(angles < NEAR_NU))
-        self._closed.add(self._trials.take(rows))
+        self._scores.add(self._trials.take(rows))
 
     def counting(self, blocks: Iterable[Rows]) -> Iterator[Rows]:
         """The same blocks, each counted as it passes."""
         for block in blocks:
             self.count(block)
             yield block
-
-    @property
-    def _scores(self) -> ScoreCounts:
-        """The counts of all scored successes."""
-        return self._closed.with_rows(self._trials.rest())
 
     @property
     def qd_score(self) -> float:
