@@ -17,9 +17,9 @@ from tests.simulation.plan import FAULTS, History, some_history
 from tests.simulation.play import Verdict, play
 
 from qdgrasp_coordinator.scheduler.batch_dispatcher import LeaseTable, Settlement
-from qdgrasp_coordinator.search.aimed import FIRST_EXPLORING
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.search.registry import AIMED, PAPER, Method
+from qdgrasp_coordinator.search.value_search import FIRST_EXPLORING
 from qdgrasp_protocol.messages import Joined
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec

@@ -15,21 +15,15 @@ Other modules decide which cells and which candidates are worth a try: `value_se
 New in this project, not from the paper.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from qdgrasp_assets.genes import MOST_CANDIDATES, NU_A, RANKING_GENES
+from qdgrasp_assets.genes import NU_A, RANKING_GENES
 from qdgrasp_assets.geometry.rotation import Floats, tangents, turned
 from qdgrasp_coordinator.metrics.cells import PER_METRE
-from qdgrasp_coordinator.search.archive import PositionBox
-from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
-from qdgrasp_coordinator.search.frontier import ANYWHERE, EliteStore, Frontier, Places
-from qdgrasp_coordinator.search.success_model import ValueThreshold
-from qdgrasp_protocol.rows import Genomes, Layout, Rows
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_coordinator.search.base import SearchSpace
+from qdgrasp_protocol.rows import Genomes, Layout
 
 TARGET, CONTACT, ROLL, LOOSENESS, CANDIDATES = slice(0, 3), slice(3, 6), 6, 7, 8
 """Places of the prior's genes in a genome (assets, `genes`)."""
@@ -152,123 +146,3 @@ def _leaning(normals: Floats, generator: np.random.Generator) -> Floats:
     nu, xi = generator.uniform(0.0, NU_A, n), generator.uniform(0.0, 2 * np.pi, n)
     aside, _ = turned(*tangents(normals), xi)
     return np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
-
-
-FIRST_EXPLORING = 100  # Genomes that explore before any is aimed
-EXPLORING_SHARE = 0.04
-"""Approximate share of evaluations that explore later; of genomes less, as none of these is refused."""
-ANYWHERE_GENOMES = 2000
-"""Genomes after which half of the exploring ones aim anywhere if there is no success; before, fewer do."""
-SYNERGY_REDRAW = 0.15  # The probability that a synergy is drawn anew
-POSTURE_SIGMA = 0.05  # Standard deviation by which free joints move from their neighbour's, in genes
-
-
-class AimedSearch(ABC):
-    """Aims at cells of a frontier, with genomes of a prior that chooses among candidates.
-
-    Where overlaps count, a genome has one candidate, so that every pose that is tried counts.
-    """
-
-    def __init__(
-        self,
-        spec: RunSpec,
-        space: SearchSpace,
-        frontier: Callable[[PositionBox, float, tuple[float, float]], Frontier],
-        threshold: ValueThreshold,
-    ) -> None:
-        self._spec = spec
-        self._space = space
-        self._counts_all = spec.overlaps == "count"
-        self._within = space.distances if self._counts_all else ANYWHERE
-        self._frontier = frontier(space.box, space.distances[1], self._within)
-        self._elites = EliteStore(self._frontier.size, space.approach_axis, posture_genes(space))
-        self._threshold = threshold
-        self._open: dict[int, Floats] = {}  # Features of the cells that generations not told yet aim at
-        self._candidates = 1 if self._counts_all else MOST_CANDIDATES
-        self._asked = 0
-
-    @abstractmethod
-    def tell(self, generation: int, rows: Rows) -> None:
-        """Learn from a generation's nominal rows, of which those that aimed at cells come first."""
-
-    @abstractmethod
-    def _choose_cells(self, generation: int, n: int, generator: np.random.Generator) -> Places:
-        """The cells to aim at, each once, at most `n`."""
-
-    @abstractmethod
-    def _ranking(self, wanted: Floats) -> Floats:
-        """Return the numbers (n, w) that rank candidates, by the value wanted (n,); 0: any."""
-
-    def ask(self, generation: int) -> Genomes:
-        """Return genomes that aim at the best cells, and some that explore: (population, genes)."""
-        targets = self._targets(generation)
-        self._open[generation] = self._frontier.features(targets)
-        aimed = self._aimed(targets, generation)
-        if self._candidates == 1:
-            aimed = scatter_grasps(aimed, keyed_generator(self._spec.seed, "scatter", generation))
-        exploring = self._exploring(generation, self._spec.population - len(aimed))
-        wanted = self._threshold.wanted(self._frontier.dead_ends(aimed.targets))
-        weights = self._weights(np.concatenate([wanted, np.zeros(len(exploring))]))
-        genomes = join_grasps(aimed, exploring).genomes(self._space.layout, self._candidates, weights)
-        self._frontier.count_tries(self._aimed_at(genomes))
-        self._asked += len(genomes)
-        return genomes
-
-    def _targets(self, generation: int) -> Places:
-        """The cells that a generation aims at; none at the start."""
-        if self._asked < FIRST_EXPLORING:
-            return np.zeros(0, np.intp)
-        generator = keyed_generator(self._spec.seed, "targets", generation)
-        exploring = EXPLORING_SHARE * self._threshold.share
-        n = int(np.count_nonzero(generator.random(self._spec.population) >= exploring))
-        return self._choose_cells(generation, n, generator)
-
-    def _aimed(self, targets: Places, generation: int) -> AimedGrasps:
-        """Return the grasps of neighbours, for the cells `targets`."""
-        generator = keyed_generator(self._spec.seed, "parents", generation)
-        parents = self._parents(targets, generator)
-        centres, contacts = self._frontier.centres(targets), self._elites.points(parents)
-        rolls = self._elites.rolls(parents, directions(centres, contacts))
-        postures = self._varied(self._elites.postures(parents), generator)
-        return AimedGrasps(centres, contacts, rolls, np.zeros(len(targets)), postures)
-
-    def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
-        """Choose for each target a success in or around it, at a wanted distance where possible."""
-        options = self._frontier.block(targets)
-        preference = self._elites.preference(options, generator)
-        least, greatest = self._within
-        distances = self._elites.distances(options, self._frontier.centres(targets))
-        is_near = (distances >= least) & (distances <= greatest)
-        preference = np.where(is_near, preference, np.minimum(preference, 0.0))
-        parents: Places = options[np.arange(len(targets)), preference.argmax(axis=1)]
-        return parents
-
-    def _varied(self, postures: Floats, generator: np.random.Generator) -> Floats:
-        """Postures (n, k) with some synergies drawn anew and free joints moved a little."""
-        names = self._space.layout.names[len(self._space.layout) - postures.shape[1] :]
-        anew = generator.uniform(-1.0, 1.0, postures.shape)
-        moved = np.clip(postures + POSTURE_SIGMA * generator.standard_normal(postures.shape), -1.0, 1.0)
-        is_anew = generator.random((len(postures), 1)) < SYNERGY_REDRAW
-        is_synergy = np.array([name == SYNERGY for name in names], dtype=np.bool_)
-        return np.where(is_synergy, np.where(is_anew, anew, postures), moved)
-
-    def _weights(self, wanted: Floats) -> Floats:
-        """Return the numbers that rank each genome's candidates: (n, w).
-
-        All zero where every pose counts, because one that is refused would count as well.
-        """
-        if self._counts_all:
-            return np.zeros((len(wanted), RANKING_GENES[self._space.layout.prior]))
-        return self._ranking(wanted)
-
-    def _exploring(self, generation: int, n: int) -> AimedGrasps:
-        found = len(self._elites) > 0
-        free_share = 0.0 if found else min(0.5, 0.5 * self._asked / ANYWHERE_GENOMES)
-        loosest = 0.0 if self._candidates == 1 else 1.0
-        rng = keyed_generator(self._spec.seed, "scouts", generation)  # another key, other runs
-        return exploration_grasps(self._space, n, free_share, loosest, rng)
-
-    def _aimed_at(self, genomes: Genomes) -> Places:
-        """The cells (n,) that genomes (n, d) aim at."""
-        target = Layout(self._space.layout.prior, self._space.layout.genes[TARGET])
-        return self._frontier.places(target.values(genomes[:, TARGET]))

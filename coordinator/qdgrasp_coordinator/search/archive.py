@@ -1,4 +1,4 @@
-"""The optimisation archive: one elite per 1 cm cell of hand positions.
+"""The optimisation archive: pyribs' grid, with one elite per 1 cm cell of positions.
 
 Its cells are those of `cells`, aligned with S_G: edges at k + 0.5 cm in the object's CoM frame. Not repeated
 here are differences of the paper's released code: a cube displaced by the object's inertial offset with bins
@@ -7,7 +7,7 @@ probability 0.5. Here positions outside the box are left out, and ties keep the 
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,55 +25,66 @@ PositionBox: TypeAlias = tuple[ArrayLike, ArrayLike]
 """Low and high corner (3,) [m], CoM frame: `genes.archive_box`."""
 
 
+class CellBox:
+    """The cells of a box of positions, enlarged to whole ones."""
+
+    def __init__(self, box: PositionBox) -> None:
+        self.low, self.high = cells(np.stack([np.asarray(corner) for corner in box]))
+
+    def contains(self, places: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Flag the cells (n, 3) that are in the box: (n,)."""
+        inside: NDArray[np.bool_] = ((places >= self.low) & (places <= self.high)).all(axis=1)
+        return inside
+
+    def archive(self, genes: int, unit: float = 1.0, **options: Any) -> "GridArchive":
+        """Make a pyribs archive with a bin for each cell; measures are cells times `unit`."""
+        from ribs.archives import GridArchive  # takes 1-2 s
+
+        # pyribs cuts a range into equal bins: from half a cell below the first middle to half above the last.
+        ranges = list(zip((self.low - 0.5) * unit, (self.high + 0.5) * unit, strict=True))
+        return GridArchive(solution_dim=genes, dims=self.high - self.low + 1, ranges=ranges, **options)
+
+
 @dataclass(frozen=True)
 class ArchiveElites:
-    """Contents of an archive, in the order of its cells."""
+    """Contents of an archive, in the order of its cells: the same archive gives the same order."""
 
-    places: NDArray[np.int64]
-    """(n,): the numbers of their cells, sorted."""
+    genomes: Genomes
+    """(n, d)."""
     successful: NDArray[np.bool_]
     """(n,): True for successes."""
 
     def __len__(self) -> int:
-        return len(self.places)
+        return len(self.genomes)
 
 
 class EliteArchive:
-    """The best genome found in each cell of a box of positions, enlarged to whole cells."""
+    """The best genome found in each cell of a box of positions."""
 
     def __init__(self, genes: int, box: PositionBox) -> None:
-        self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
-        self._dims = tuple(self._high - self._low + 1)
-        self._objectives = np.full(np.prod(self._dims), -np.inf, np.float32)  # of every cell of the box
-        self._genomes = np.zeros((len(self._objectives), genes), np.float32)
-        self._places = np.zeros(0, np.int64)  # of the occupied cells, sorted
+        self._box = CellBox(box)
+        self._grid = self._box.archive(genes, dtype=np.float32)
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._grid)
 
     @property
     def elites(self) -> ArchiveElites:
-        """All elites, by the number of their cells: the same archive gives the same order."""
-        return ArchiveElites(self._places, self._objectives[self._places] > FAILED)
-
-    def genomes(self, places: NDArray[np.int64]) -> Genomes:
-        """Return the genomes (n, d) of the elites in the cells of these numbers (n,), all occupied."""
-        return self._genomes[places]
+        """All elites; pyribs holds them in the order in which their cells were reached first."""
+        held = self._grid.data(["index", "solution", "objective"])
+        order = np.argsort(held["index"])
+        return ArchiveElites(held["solution"][order], held["objective"][order] > FAILED)
 
     def insert(self, rows: Rows) -> None:
         """Offer rows, elder ones first; overlaps, dead ends and errors are ignored."""
         valid = take_rows(rows, rows["outcome"] >= Outcome.MISSED)
         where = cells(valid["descriptor"][:, :3])
-        inside = ((where >= self._low) & (where <= self._high)).all(axis=1)
+        inside = self._box.contains(where)
         offered = take_rows(valid, inside)
-        places = np.ravel_multi_index(tuple((where[inside] - self._low).T), self._dims)
-        objectives = np.where(offered["outcome"] >= Outcome.DROPPED, offered["fitness"], np.float32(FAILED))
-        order = np.lexsort((-objectives, places))  # by cell, then the best, then the eldest
-        best = order[np.unique(places[order], return_index=True)[1]]
-        better = best[objectives[best] > self._objectives[places[best]]]
-        self._objectives[places[better]] = objectives[better]
-        self._genomes[places[better]] = offered["genome"][better]
-        self._places = np.union1d(self._places, places[better])
+        if len(offered):
+            is_success = offered["outcome"] >= Outcome.DROPPED
+            objectives = np.where(is_success, offered["fitness"], np.float32(FAILED))
+            self._grid.add(offered["genome"], objectives, where[inside])
 
 
 def ribs_archive(box: PositionBox, rows: Rows, objectives: NDArray[np.float64]) -> "GridArchive":
@@ -82,14 +93,10 @@ def ribs_archive(box: PositionBox, rows: Rows, objectives: NDArray[np.float64]) 
     Solutions are genomes, measures hand positions [m], CoM frame; bins are the 1 cm cells. Successes outside
     the box are left out: pyribs would clip them into border cells.
     """
-    from ribs.archives import GridArchive  # takes 1-2 s
-
-    low, high = cells(np.stack([np.asarray(corner) for corner in box]))
-    # pyribs cuts a range into equal bins: from half a cell below the first middle to half above the last.
-    ranges = list(zip((low - 0.5) / PER_METRE, (high + 0.5) / PER_METRE, strict=True))
-    archive = GridArchive(solution_dim=rows["genome"].shape[1], dims=high - low + 1, ranges=ranges)
+    own = CellBox(box)
+    archive = own.archive(rows["genome"].shape[1], 1.0 / PER_METRE)
     where = cells(rows["descriptor"][:, :3])
-    inside = ((where >= low) & (where <= high)).all(axis=1)
+    inside = own.contains(where)
     if inside.any():
         archive.add(rows["genome"][inside], objectives[inside], where[inside] / PER_METRE)
     return archive

@@ -13,10 +13,10 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.search.archive import PositionBox
+from qdgrasp_coordinator.search.archive import CellBox, PositionBox
 from qdgrasp_coordinator.search.base import keyed_generator
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
@@ -58,8 +58,8 @@ class CmaMae:
     def __init__(self, spec: RunSpec, genes: int, box: PositionBox) -> None:
         check(spec)
         _compile_adaptation()
-        self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
-        self._archive = _grid(self._low, self._high, genes, *_seeds(spec.seed, "archive", 1))
+        self._box = CellBox(box)
+        self._archive = _grid(self._box, genes, *_seeds(spec.seed, "archive", 1))
         self._share = spec.population // EMITTERS
         starts = keyed_generator(spec.seed, "starts", 0).uniform(-1.0, 1.0, (EMITTERS, genes))
         self._emitters = [
@@ -79,12 +79,11 @@ class CmaMae:
         Before the first simulated row emitters are told nothing: they would have no elite to restart from.
         """
         places = cells(rows["descriptor"][:, :3])
-        is_inside = ((places >= self._low) & (places <= self._high)).all(axis=1)
-        is_kept = (rows["outcome"] >= Outcome.MISSED) & is_inside
+        is_kept = (rows["outcome"] >= Outcome.MISSED) & self._box.contains(places)
         batch = {
             "solution": self._asked,
             "objective": np.where(is_kept, rows["fitness"].astype(np.float64), F_MIN),
-            "measures": np.clip(places, self._low, self._high).astype(np.float64),
+            "measures": np.clip(places, self._box.low, self._box.high).astype(np.float64),
         }
         added = self._archive.add(**batch)
         for number, emitter in enumerate(self._emitters if len(self._archive) else ()):
@@ -92,19 +91,9 @@ class CmaMae:
             emitter.tell(**_part(batch, own), add_info=_part(added, own))
 
 
-def _grid(low: NDArray[np.int64], high: NDArray[np.int64], genes: int, seed: int) -> "GridArchive":
-    """Make a pyribs archive whose measures are cells, so that its bins are those of `cells`."""
-    from ribs.archives import GridArchive  # takes 1-2 s, only for a process with this search
-
-    ranges = list(zip(low - 0.5, high + 0.5, strict=True))
-    return GridArchive(
-        solution_dim=genes,
-        dims=high - low + 1,
-        ranges=ranges,
-        learning_rate=ALPHA,
-        threshold_min=F_MIN,
-        seed=seed,
-    )
+def _grid(box: CellBox, genes: int, seed: int) -> "GridArchive":
+    """Make the archive of the emitters, whose measures are cells."""
+    return box.archive(genes, learning_rate=ALPHA, threshold_min=F_MIN, seed=seed)
 
 
 def _emitter(archive: "GridArchive", start: ArrayLike, share: int, seed: int) -> "EvolutionStrategyEmitter":
@@ -125,7 +114,7 @@ def _emitter(archive: "GridArchive", start: ArrayLike, share: int, seed: int) ->
 @cache
 def _compile_adaptation() -> None:
     """Have pyribs compile ask and tell (4-6 s, once a process) before any job waits for it."""
-    archive = _grid(np.zeros(3, np.int64), np.ones(3, np.int64), 2, 0)
+    archive = _grid(CellBox(([0.0] * 3, [0.01] * 3)), 2, 0)
     emitter = _emitter(archive, np.zeros(2), 4, 0)
     batch = {"solution": emitter.ask(), "objective": np.arange(4.0), "measures": np.zeros((4, 3))}
     emitter.tell(**batch, add_info=archive.add(**batch))

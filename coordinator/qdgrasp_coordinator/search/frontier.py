@@ -1,43 +1,52 @@
 """The frontier of cells that a search may aim at, and the best grasp of each success cell.
 
 The worth of a try in a cell is promise / (tries + dead ends / 2 + 1), where a try is a simulated pose and a
-dead end a genome of which no pose could be simulated. Each search learns the promise of a cell
-(`value_search`) from the distance between the cell and the contact point of the nearest
-success beside it, and from its 26 neighbours. It begins with weights of other runs: in units of a hand's
-reach, they are nearly the same for all hands and objects.
+dead end a genome of which no pose could be simulated. Two models learn the promise of a cell from the
+distance between the cell and the contact point of the nearest success beside it, and from its 26 neighbours.
+They begin with weights of other runs: in units of a hand's reach, they are nearly the same for all hands and
+objects.
 
 A successful cell passes on to its neighbours the contact point, the roll and the posture of its best
 success. The roll is kept as a vector of the hand, so that it can be read about the direction in which a
 neighbour will look: as a number it belongs to a frame that jumps between directions (`rotation.tangents`).
 """
 
-from abc import ABC, abstractmethod
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qdgrasp_assets.genes import TOUCH_VALUE
 from qdgrasp_assets.geometry.rotation import Floats, dot, rolls, rotate, tangents, unit
 from qdgrasp_assets.scene import Vector
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
 from qdgrasp_coordinator.search.archive import PositionBox
+from qdgrasp_coordinator.search.success_model import NO_WEIGHTS, first_model
 from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import FirstWeights
 
 Places = NDArray[np.intp]  # (n,): cells of a frontier, as places in its grid
+FULL_QUALITY = 0.9  # Quality from which a cell's possible gain is not worth a try
 DEAD_END = 0.5  # Weight of a dead end against a try: it costs no simulation, and the next may do better
 ANYWHERE = (0.0, np.inf)
 NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
 """(26, 3): the steps from a cell to those around it."""
 
 
-class Frontier(ABC):
-    """All cells of a box, enlarged to whole cells, with the tries in them.
+class Frontier:
+    """All cells of a box, enlarged to whole cells, with the tries and the best quality in them.
 
     `reach` is the greatest distance from the hand to the surface point that it looks at [m], `within` the
-    least and the greatest distance [m] from a success's contact point of a cell to aim at. Every step visits
-    only the cells that it concerns, never all: a large hand around a large object has some 400 000.
+    least and the greatest distance [m] from a success's contact point of a cell to aim at; the models begin
+    with the weights `first`. Every step visits only the cells that it concerns, never all: a large hand
+    around a large object has some 400 000.
     """
 
-    def __init__(self, box: PositionBox, reach: float, within: tuple[float, float] = ANYWHERE) -> None:
+    def __init__(
+        self,
+        box: PositionBox,
+        reach: float,
+        within: tuple[float, float] = ANYWHERE,
+        first: FirstWeights = NO_WEIGHTS,
+    ) -> None:
         self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
         # One more cell on every side: no step leaves it.
         self._shape = tuple((self._high - self._low + 3).tolist())
@@ -51,6 +60,11 @@ class Frontier(ABC):
         self._farthest = np.zeros(size, np.float32)
         self._reach = reach
         self._within = within
+        self.touch = first_model("cell_touch", first.cell_touch)
+        self.quality = first_model("cell_quality", first.cell_quality)
+        self._best = np.zeros(size)
+        self._best_around = np.zeros(size)
+        self._is_known = np.zeros(size, np.bool_)
         inside = np.zeros(self._shape, np.bool_)
         inside[1:-1, 1:-1, 1:-1] = True
         self._inside = inside.reshape(-1)
@@ -100,13 +114,70 @@ class Frontier(ABC):
         np.minimum.at(self._distances, places.ravel(), distances)
         np.maximum.at(self._farthest, places.ravel(), distances)
 
-    @abstractmethod
-    def features(self, places: Places) -> Floats:
-        """Return the features (n, k) of cells (n,), known before they are tried."""
+    def add_grasps(self, places: Places, contacts: Floats, quality: Floats) -> None:
+        """Record successes in `places` (n,), repeated in any order, at `contacts` (n, 3) [m]."""
+        new, first = np.unique(places, return_index=True)
+        is_new = ~self.successful[new]
+        self._open_cells(new[is_new], contacts[first[is_new]])
+        before = self._best[new]
+        np.maximum.at(self._best, places, quality)
+        gain = self._best[new] - before
+        np.add.at(self._best_around, self.around(new).ravel(), np.repeat(gain, len(NEIGHBOURS)))
+        self.edge = self.edge[self._is_open(self.edge)]
 
-    @abstractmethod
+    def _is_open(self, places: Places) -> NDArray[np.bool_]:
+        """Return which of `places` (n,) may still gain something."""
+        is_open: NDArray[np.bool_] = self._best[places] < FULL_QUALITY
+        return is_open
+
+    def _open_cells(self, new: Places, contacts: Floats) -> None:
+        """Add distinct cells with their first success, and those around them, to the edge."""
+        self.successful[new] = True
+        around = self.around(new)
+        np.add.at(self._neighbours, around.ravel(), 1)
+        block = self.block(new)
+        self._keep_distances(block, contacts)
+        reached = block.ravel()
+        fresh = np.unique(reached[~self._is_known[reached] & self._inside[reached]])
+        self._is_known[fresh] = True
+        self.edge = np.concatenate([self.edge, fresh])
+
+    def features(self, places: Places) -> Floats:
+        """Return the features (n, 6) of cells (n,), known before they are tried.
+
+        The distance to the nearest contact point in units of the hand's reach, its square, the share of
+        successful neighbours, the mean of the neighbours' best qualities, whether it has a success, and 1.
+        """
+        distances = np.minimum(self._distances[places].astype(np.float64) / self._reach, 2.0)
+        return np.stack(
+            [
+                distances,
+                distances * distances,
+                self._neighbours[places] / len(NEIGHBOURS),
+                self._best_around[places] / len(NEIGHBOURS),
+                self.successful[places],
+                np.ones(len(places)),
+            ],
+            axis=1,
+        )
+
+    def learn_quality(self, features: Floats, is_success: NDArray[np.bool_], quality: Floats) -> None:
+        """Learn from tries in cells with such `features` (n, 6) when they were aimed at."""
+        self.touch.learn(features, is_success)
+        self.quality.learn(features[is_success], quality[is_success])
+
     def worth(self, places: Places) -> Floats:
-        """Return the estimated worth of a try in each of `places` (n,), 0 to 1."""
+        """Return the expected gain of a try in each of `places` (n,), over the tries spent there.
+
+        A success of expected quality q raises a best of b by at most q (1 - b): exactly that, where a quality
+        is 0 or 1.
+        """
+        features = self.features(places)
+        touch = TOUCH_VALUE * (1.0 - features[:, 4])
+        gain = self.quality.likely(features) * (1.0 - self._best[places])
+        value = self.touch.likely(features) * (touch + (1.0 - TOUCH_VALUE) * gain)
+        worth: Floats = value / (self.spent(places) + 1.0)
+        return worth
 
     def best(self, n: int, generator: np.random.Generator) -> Places:
         """Return the `n` of the edge that are worth most; fewer if there are fewer.
@@ -116,7 +187,12 @@ class Frontier(ABC):
         places, (least, greatest) = self.edge, self._within
         # Only cells that may be at a wanted distance from a contact point.
         places = places[(self._farthest[places] >= least) & (self._distances[places] <= greatest)]
-        return select_top(places, self.worth(places), n, generator)
+        worth = self.worth(places)
+        if len(places) <= n or not n:
+            return places[:n]
+        bound = np.partition(worth, -n)[-n]
+        sure, equal = places[worth > bound], places[worth == bound]
+        return np.concatenate([sure, generator.choice(equal, n - len(sure), replace=False)])
 
     def dead_ends(self, positions: Floats) -> NDArray[np.int32]:
         """Return the number of dead ends in the cells of `positions` (n, 3) [m]; 0 outside the box."""
@@ -126,15 +202,6 @@ class Frontier(ABC):
     def spent(self, places: Places) -> Floats:
         """Return the tries spent on each of `places` (n,); a dead end counts `DEAD_END`."""
         return self._tries[places] + DEAD_END * self._dead_ends[places]
-
-
-def select_top(places: Places, worth: NDArray[np.float64], n: int, generator: np.random.Generator) -> Places:
-    """The `n` of `places` with the greatest worth; among equals `generator` draws."""
-    if len(places) <= n or not n:
-        return places[:n]
-    least = np.partition(worth, -n)[-n]
-    sure, equal = places[worth > least], places[worth == least]
-    return np.concatenate([sure, generator.choice(equal, n - len(sure), replace=False)])
 
 
 RANK_NOISE = 3.0

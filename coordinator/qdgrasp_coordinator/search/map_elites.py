@@ -61,7 +61,7 @@ class MapElites:
             return uniform_genomes(spec.seed, generation, spec.population, self._genes)
         picks = self._select(elites, spec.population, keyed_generator(spec.seed, "parents", generation))
         return mutate(
-            self.archive.genomes(elites.places[picks]),
+            elites.genomes[picks],
             spec.mutation_sigma,
             spec.mutation_probability,
             keyed_generator(spec.seed, "mutation", generation),

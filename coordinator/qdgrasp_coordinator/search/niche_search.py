@@ -25,19 +25,19 @@ from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.frontier import (
     ANYWHERE,
     FIRST_CAPACITY,
+    FULL_QUALITY,
     NEIGHBOURS,
     NO_SLOT,
     EliteStore,
+    Frontier,
     Places,
 )
-from qdgrasp_coordinator.search.success_model import LogisticRegression
-from qdgrasp_coordinator.search.value_search import (
+from qdgrasp_coordinator.search.success_model import (
     FIRST_QUALITY_WEIGHTS,
     FIRST_TOUCH_WEIGHTS,
-    FULL_QUALITY,
-    ValueFrontier,
-    ValueSearch,
+    LogisticRegression,
 )
+from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 
@@ -51,7 +51,7 @@ FIRST_OPTION_WEIGHTS = (2.0, 0.5, 1.0, 0.5, 0.0, 0.0, 0.0, 1.0, -2.0)
 """Weights of the features of an option before the first fit."""
 
 
-class NicheFrontier(ValueFrontier):
+class NicheFrontier(Frontier):
     """Cells in and beside those of successes, open until they hold `most` full kinds."""
 
     def __init__(
@@ -59,7 +59,7 @@ class NicheFrontier(ValueFrontier):
     ) -> None:
         super().__init__(box, reach, within)
         first = (FIRST_TOUCH_WEIGHTS, FIRST_QUALITY_WEIGHTS)
-        self._touch, self._quality = (LogisticRegression((*each, *FIRST_KIND_WEIGHTS)) for each in first)
+        self.touch, self.quality = (LogisticRegression((*each, *FIRST_KIND_WEIGHTS)) for each in first)
         self._most = most or np.inf
         self._full = np.zeros(self.size, np.int32)  # Kinds of full quality in each cell
         self._given = np.zeros(self.size)  # The worth of all kinds of each cell
@@ -82,7 +82,7 @@ class NicheFrontier(ValueFrontier):
     def features(self, places: Places) -> Floats:
         """Return the features (n, 8) of cells (n,), known before they are tried.
 
-        Six are those of `ValueFrontier`. Two are the worth of the kinds in the cell, and of those in a
+        Six are those of `Frontier`. Two are the worth of the kinds in the cell, and of those in a
         neighbour, in the mean, over `MANY_KINDS`.
         """
         here = self._given[places] / MANY_KINDS
@@ -92,9 +92,9 @@ class NicheFrontier(ValueFrontier):
     def worth(self, places: Places) -> Floats:
         """Return the expected gain of a try in each of `places` (n,), by its tries and gains."""
         features = self.features(places)
-        gain = TOUCH_VALUE + (1.0 - TOUCH_VALUE) * self._quality.likely(features)
+        gain = TOUCH_VALUE + (1.0 - TOUCH_VALUE) * self.quality.likely(features)
         rate = (self._given[places] + 1.0) / (self.spent(places) + 1.0)
-        worth: Floats = self._touch.likely(features) * gain * np.minimum(rate, 1.0)
+        worth: Floats = self.touch.likely(features) * gain * np.minimum(rate, 1.0)
         return worth
 
 

@@ -14,7 +14,8 @@ from qdgrasp_coordinator.search import cma_mae, fixed_poses
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace
 from qdgrasp_coordinator.search.map_elites import MapElites, RandomSearch, select_successes, select_uniform
 from qdgrasp_coordinator.search.niche_search import NicheSearch
-from qdgrasp_coordinator.search.value_search import ValueSearch, check_first_weights
+from qdgrasp_coordinator.search.success_model import check_first_weights
+from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import GIVEN, trial_count
 from qdgrasp_protocol.spec import OWN_SEARCH, AimFor, Overlaps, RunSpec

@@ -7,10 +7,14 @@ threshold each time.
 
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from qdgrasp_assets.genes import STEEPEST_VALUE, VALUE_FEATURES
 from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.spec import FirstWeights, RunSpec, Weights
 
 EXAMPLES_KEPT = 2048  # Number of the last examples, which a fit uses
 FIT_INTERVAL = 256  # Examples between two fits
@@ -72,6 +76,41 @@ class LogisticRegression:
     def likely(self, features: Floats) -> Floats:
         """The probability (n,) of success for features (n, k)."""
         return _likely(features, self.weights)
+
+
+FIRST_TOUCH_WEIGHTS = (1.0, -5.0, 3.0, 0.0, 1.0, 2.0)
+"""Weights of a cell's features for P(touch) before the first fit."""
+FIRST_QUALITY_WEIGHTS = (0.0, 0.0, 0.0, 3.0, -0.5, -1.0)
+"""The same for the quality of a grasp that touches."""
+STARTS = {
+    "touch": (0.0,) * len(VALUE_FEATURES),
+    "quality": (0.0,) * len(VALUE_FEATURES),
+    "cell_touch": FIRST_TOUCH_WEIGHTS,
+    "cell_quality": FIRST_QUALITY_WEIGHTS,
+}
+"""First weights of models, by their names in `FirstWeights`, where a spec has none for them."""
+DOUBT_INTERVAL = 64
+"""Examples between two fits of a model that begins with weights of other runs, which may mislead."""
+NO_WEIGHTS = FirstWeights()
+
+
+def check_first_weights(spec: RunSpec) -> None:
+    """Check that the weights which a spec begins with fit the models, in whole grains."""
+    for name, weights in msgspec.structs.asdict(spec.first_weights or NO_WEIGHTS).items():
+        key, n = f"first_weights.{name}", len(STARTS[name])
+        if weights is not None and len(weights) != n:
+            raise ImpossibleValue(key, f"{len(weights)} of them", f"{n} numbers, one for each feature")
+        grains = WEIGHT_GRAIN * np.asarray(weights or (), np.float64)
+        if not ((np.abs(grains) <= WEIGHT_GRAIN * STEEPEST_VALUE) & (grains == np.rint(grains))).all():
+            expected = f"multiples of 1/{WEIGHT_GRAIN} from {-STEEPEST_VALUE:g} to {STEEPEST_VALUE:g}"
+            raise ImpossibleValue(key, weights, expected)
+
+
+def first_model(name: str, first: Weights | None, *, own_units: bool = False) -> LogisticRegression:
+    """Return a model that begins with weights of other runs; None: with its own in `STARTS`."""
+    if first is None:
+        return LogisticRegression(STARTS[name], own_units=own_units)
+    return LogisticRegression(first, own_units=own_units, interval=DOUBT_INTERVAL)
 
 
 def pooled_weights(models: Sequence[LogisticRegression], start: ArrayLike) -> Floats | None:

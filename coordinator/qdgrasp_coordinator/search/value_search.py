@@ -12,69 +12,43 @@ Quality is the spec's `aim_for`: whether the grasp held (`hold`), its eta (`eta`
 """
 
 from collections.abc import Callable
-from functools import partial
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import RANKING_GENES, STEEPEST_VALUE, TOUCH_VALUE, VALUE_FEATURES, VALUED
+from qdgrasp_assets.genes import MOST_CANDIDATES, RANKING_GENES, STEEPEST_VALUE, VALUED
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
-from qdgrasp_coordinator.search.aimed import AimedSearch
-from qdgrasp_coordinator.search.archive import PositionBox
-from qdgrasp_coordinator.search.base import SearchSpace
-from qdgrasp_coordinator.search.frontier import ANYWHERE, NEIGHBOURS, Frontier, Places, outcome_ranks
-from qdgrasp_coordinator.search.success_model import WEIGHT_GRAIN, LogisticRegression, ValueThreshold
-from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import FirstWeights, RunSpec, Weights
+from qdgrasp_coordinator.search.aimed import (
+    SYNERGY,
+    TARGET,
+    AimedGrasps,
+    directions,
+    exploration_grasps,
+    join_grasps,
+    posture_genes,
+    scatter_grasps,
+)
+from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
+from qdgrasp_coordinator.search.frontier import ANYWHERE, EliteStore, Frontier, Places, outcome_ranks
+from qdgrasp_coordinator.search.success_model import (
+    NO_WEIGHTS,
+    STARTS,
+    LogisticRegression,
+    ValueThreshold,
+    first_model,
+)
+from qdgrasp_protocol.rows import Genomes, Layout, Outcome, Rows
+from qdgrasp_protocol.spec import FirstWeights, RunSpec
 
-FIRST_TOUCH_WEIGHTS = (1.0, -5.0, 3.0, 0.0, 1.0, 2.0)
-"""Weights of a cell's features for P(touch) before the first fit."""
-FIRST_QUALITY_WEIGHTS = (0.0, 0.0, 0.0, 3.0, -0.5, -1.0)
-"""The same for the quality of a grasp that touches."""
-STARTS = {
-    "touch": (0.0,) * len(VALUE_FEATURES),
-    "quality": (0.0,) * len(VALUE_FEATURES),
-    "cell_touch": FIRST_TOUCH_WEIGHTS,
-    "cell_quality": FIRST_QUALITY_WEIGHTS,
-}
-"""First weights of models, by their names in `FirstWeights`, where a spec has none for them."""
-DOUBT_INTERVAL = 64
-"""Examples between two fits of a model that begins with weights of other runs, which may mislead."""
 WANTED = 0.5  # Value demanded of a cell's first candidates
 LEAST_SHARE = 0.25  # Share of genomes below which less is demanded: 0.1 cost twice the genomes on the drill
 GRADES = float(Outcome.HELD - Outcome.DROPPED)  # Outcomes between the worst and the best success
 FULL_ETAS = {"paper": 0.3, "physical": 1.0}
 """Eta of quality 1 by base: of `paper`'s trials most are lost before the hand closes, so that 0.3 is rare."""
 FULL_MARGIN = 0.1  # Ferrari-Canny margin of quality 1; of the Panda on cube and mug 99 in 100 are below 0.07
-BLOCK = np.concatenate([NEIGHBOURS, np.zeros((1, 3), np.int64)])  # Steps to a cell's neighbours and itself
-FULL_QUALITY = 0.9  # Quality from which a cell's possible gain is not worth a try
 QUALITY_GRAIN = 1024
 """Qualities are whole multiples of 1 / GRAIN: the last bits of a margin hardly ever reach a genome."""
-
-NO_WEIGHTS = FirstWeights()
-
-
-def check_first_weights(spec: RunSpec) -> None:
-    """Check that the weights which a spec begins with fit the models, in whole grains."""
-    for name, weights in msgspec.structs.asdict(spec.first_weights or NO_WEIGHTS).items():
-        key, n = f"first_weights.{name}", len(STARTS[name])
-        if weights is not None and len(weights) != n:
-            raise ImpossibleValue(key, f"{len(weights)} of them", f"{n} numbers, one for each feature")
-        grains = WEIGHT_GRAIN * np.asarray(weights or (), np.float64)
-        if not ((np.abs(grains) <= WEIGHT_GRAIN * STEEPEST_VALUE) & (grains == np.rint(grains))).all():
-            expected = f"multiples of 1/{WEIGHT_GRAIN} from {-STEEPEST_VALUE:g} to {STEEPEST_VALUE:g}"
-            raise ImpossibleValue(key, weights, expected)
-
-
-def first_model(name: str, first: Weights | None, *, own_units: bool = False) -> LogisticRegression:
-    """Return a model that begins with weights of other runs; None: with its own in `STARTS`."""
-    if first is None:
-        return LogisticRegression(STARTS[name], own_units=own_units)
-    return LogisticRegression(first, own_units=own_units, interval=DOUBT_INTERVAL)
-
 
 Qualities = Callable[[Rows], Floats]
 """The quality (n,) of successes (n,), 0 to 1."""
@@ -98,95 +72,12 @@ def _quantised_quality(values: Floats) -> Floats:
     return quality
 
 
-class ValueFrontier(Frontier):
-    """Cells beside successes and those of successes, with the best quality of each."""
-
-    def __init__(
-        self,
-        box: PositionBox,
-        reach: float,
-        within: tuple[float, float] = ANYWHERE,
-        first: FirstWeights = NO_WEIGHTS,
-    ) -> None:
-        super().__init__(box, reach, within)
-        self._touch = first_model("cell_touch", first.cell_touch)
-        self._quality = first_model("cell_quality", first.cell_quality)
-        self._best = np.zeros(self.size)
-        self._best_around = np.zeros(self.size)
-        self._is_known = np.zeros(self.size, np.bool_)
-
-    def add_grasps(self, places: Places, contacts: Floats, quality: Floats) -> None:
-        """Record successes in `places` (n,), repeated in any order, at `contacts` (n, 3) [m]."""
-        new, first = np.unique(places, return_index=True)
-        is_new = ~self.successful[new]
-        self._open_cells(new[is_new], contacts[first[is_new]])
-        before = self._best[new]
-        np.maximum.at(self._best, places, quality)
-        gain = self._best[new] - before
-        np.add.at(self._best_around, self.around(new).ravel(), np.repeat(gain, len(NEIGHBOURS)))
-        self.edge = self.edge[self._is_open(self.edge)]
-
-    def _is_open(self, places: Places) -> NDArray[np.bool_]:
-        """Return which of `places` (n,) may still gain something."""
-        is_open: NDArray[np.bool_] = self._best[places] < FULL_QUALITY
-        return is_open
-
-    def _open_cells(self, new: Places, contacts: Floats) -> None:
-        """Add distinct cells with their first success, and those around them, to the edge."""
-        self.successful[new] = True
-        around = self.around(new)
-        np.add.at(self._neighbours, around.ravel(), 1)
-        block = self.block(new)
-        self._keep_distances(block, contacts)
-        reached = block.ravel()
-        fresh = np.unique(reached[~self._is_known[reached] & self._inside[reached]])
-        self._is_known[fresh] = True
-        self.edge = np.concatenate([self.edge, fresh])
-
-    def features(self, places: Places) -> Floats:
-        """Return the features (n, 6) of cells (n,), known before they are tried.
-
-        The distance to the nearest contact point in units of the hand's reach, its square, the share of
-        successful neighbours, the mean of the neighbours' best qualities, whether it has a success, and 1.
-        """
-        distances = np.minimum(self._distances[places].astype(np.float64) / self._reach, 2.0)
-        return np.stack(
-            [
-                distances,
-                distances * distances,
-                self._neighbours[places] / len(NEIGHBOURS),
-                self._best_around[places] / len(NEIGHBOURS),
-                self.successful[places],
-                np.ones(len(places)),
-            ],
-            axis=1,
-        )
-
-    def learn_quality(self, features: Floats, is_success: NDArray[np.bool_], quality: Floats) -> None:
-        """Learn from tries in cells with such `features` (n, 6) when they were aimed at."""
-        self._touch.learn(features, is_success)
-        self._quality.learn(features[is_success], quality[is_success])
-
-    def worth(self, places: Places) -> Floats:
-        """Return the expected gain of a try in each of `places` (n,), over the tries spent there.
-
-        A success of expected quality q raises a best of b by at most q (1 - b): exactly that, where a quality
-        is 0 or 1.
-        """
-        features = self.features(places)
-        touch = TOUCH_VALUE * (1.0 - features[:, 4])
-        gain = self._quality.likely(features) * (1.0 - self._best[places])
-        value = self._touch.likely(features) * (touch + (1.0 - TOUCH_VALUE) * gain)
-        worth: Floats = value / (self.spent(places) + 1.0)
-        return worth
-
-
 class ValueModel:
     """The models that rank candidates, by the features that the prior `valued` gives of a pose."""
 
     def __init__(self, first: FirstWeights = NO_WEIGHTS) -> None:
-        self._touch = first_model("touch", first.touch, own_units=True)
-        self._quality = first_model("quality", first.quality, own_units=True)
+        self.touch = first_model("touch", first.touch, own_units=True)
+        self.quality = first_model("quality", first.quality, own_units=True)
 
     def ranking(self, wanted: Floats) -> Floats:
         """Return weights of both models, and the value wanted of candidates: (n, w).
@@ -194,8 +85,8 @@ class ValueModel:
         All are zero before the first fit, unless the spec has weights of other runs.
         """
         weights = np.zeros((len(wanted), RANKING_GENES[VALUED]))
-        if self._touch.weights.any():
-            both = np.concatenate([self._touch.weights, self._quality.weights])
+        if self.touch.weights.any():
+            both = np.concatenate([self.touch.weights, self.quality.weights])
             weights[:, :-1] = np.clip(both, -STEEPEST_VALUE, STEEPEST_VALUE)
             weights[:, -1] = wanted
         return weights
@@ -204,19 +95,40 @@ class ValueModel:
         """Learn from rows that were simulated, and the quality (n,) of those that are successes."""
         features = simulated["descriptor"][:, 3:].astype(np.float64)
         is_success = simulated["outcome"] >= Outcome.DROPPED
-        self._touch.learn(features, is_success)
-        self._quality.learn(features[is_success], quality[is_success])
+        self.touch.learn(features, is_success)
+        self.quality.learn(features[is_success], quality[is_success])
 
 
-class ValueSearch(AimedSearch):
-    """Aims at cells whose best grasp may be beaten, empty ones included."""
+FIRST_EXPLORING = 100  # Genomes that explore before any is aimed
+EXPLORING_SHARE = 0.04
+"""Approximate share of evaluations that explore later; of genomes less, as none of these is refused."""
+ANYWHERE_GENOMES = 2000
+"""Genomes after which half of the exploring ones aim anywhere if there is no success; before, fewer do."""
+SYNERGY_REDRAW = 0.15  # The probability that a synergy is drawn anew
+POSTURE_SIGMA = 0.05  # Standard deviation by which free joints move from their neighbour's, in genes
 
-    _frontier: ValueFrontier
+
+class ValueSearch:
+    """Aims at cells whose best grasp may be beaten, empty ones included.
+
+    Its prior chooses among candidates. Where overlaps count, a genome has one candidate, so that every pose
+    that is tried counts.
+    """
+
+    _frontier: Frontier
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
         first = spec.first_weights or NO_WEIGHTS
-        frontier = partial(ValueFrontier, first=first)
-        super().__init__(spec, space, frontier, ValueThreshold(WANTED, LEAST_SHARE))
+        self._spec = spec
+        self._space = space
+        self._counts_all = spec.overlaps == "count"
+        self._within = space.distances if self._counts_all else ANYWHERE
+        self._frontier = Frontier(space.box, space.distances[1], self._within, first)
+        self._elites = EliteStore(self._frontier.size, space.approach_axis, posture_genes(space))
+        self._threshold = ValueThreshold(WANTED, LEAST_SHARE)
+        self._open: dict[int, Floats] = {}  # Features of the cells that generations not told yet aim at
+        self._candidates = 1 if self._counts_all else MOST_CANDIDATES
+        self._asked = 0
         self._qualities = quality_measure(spec, space)
         self._model = ValueModel(first)
 
@@ -224,7 +136,7 @@ class ValueSearch(AimedSearch):
     def models(self) -> dict[str, LogisticRegression]:
         """Its models, by their names in `FirstWeights`."""
         model, frontier = self._model, self._frontier
-        each = (model._touch, model._quality, frontier._touch, frontier._quality)
+        each = (model.touch, model.quality, frontier.touch, frontier.quality)
         return dict(zip(STARTS, each, strict=True))
 
     def tell(self, generation: int, rows: Rows) -> None:
@@ -260,10 +172,76 @@ class ValueSearch(AimedSearch):
         """Offer successes (n,) in cells `places` (n,) to the elites."""
         self._elites.offer(places, successes, ranks)
 
-    def _choose_cells(self, generation: int, n: int, generator: np.random.Generator) -> Places:
-        """The open cells that are worth most."""
+    def ask(self, generation: int) -> Genomes:
+        """Return genomes that aim at the best cells, and some that explore: (population, genes)."""
+        targets = self._targets(generation)
+        self._open[generation] = self._frontier.features(targets)
+        aimed = self._aimed(targets, generation)
+        if self._candidates == 1:
+            aimed = scatter_grasps(aimed, keyed_generator(self._spec.seed, "scatter", generation))
+        exploring = self._exploring(generation, self._spec.population - len(aimed))
+        wanted = self._threshold.wanted(self._frontier.dead_ends(aimed.targets))
+        weights = self._weights(np.concatenate([wanted, np.zeros(len(exploring))]))
+        genomes = join_grasps(aimed, exploring).genomes(self._space.layout, self._candidates, weights)
+        self._frontier.count_tries(self._aimed_at(genomes))
+        self._asked += len(genomes)
+        return genomes
+
+    def _targets(self, generation: int) -> Places:
+        """The cells that a generation aims at; none at the start."""
+        if self._asked < FIRST_EXPLORING:
+            return np.zeros(0, np.intp)
+        generator = keyed_generator(self._spec.seed, "targets", generation)
+        exploring = EXPLORING_SHARE * self._threshold.share
+        n = int(np.count_nonzero(generator.random(self._spec.population) >= exploring))
         return self._frontier.best(n, generator)
 
-    def _ranking(self, wanted: Floats) -> Floats:
-        """Weights of the models of value."""
+    def _aimed(self, targets: Places, generation: int) -> AimedGrasps:
+        """Return the grasps of neighbours, for the cells `targets`."""
+        generator = keyed_generator(self._spec.seed, "parents", generation)
+        parents = self._parents(targets, generator)
+        centres, contacts = self._frontier.centres(targets), self._elites.points(parents)
+        rolls = self._elites.rolls(parents, directions(centres, contacts))
+        postures = self._varied(self._elites.postures(parents), generator)
+        return AimedGrasps(centres, contacts, rolls, np.zeros(len(targets)), postures)
+
+    def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
+        """Choose for each target a success in or around it, at a wanted distance where possible."""
+        options = self._frontier.block(targets)
+        preference = self._elites.preference(options, generator)
+        least, greatest = self._within
+        distances = self._elites.distances(options, self._frontier.centres(targets))
+        is_near = (distances >= least) & (distances <= greatest)
+        preference = np.where(is_near, preference, np.minimum(preference, 0.0))
+        parents: Places = options[np.arange(len(targets)), preference.argmax(axis=1)]
+        return parents
+
+    def _varied(self, postures: Floats, generator: np.random.Generator) -> Floats:
+        """Postures (n, k) with some synergies drawn anew and free joints moved a little."""
+        names = self._space.layout.names[len(self._space.layout) - postures.shape[1] :]
+        anew = generator.uniform(-1.0, 1.0, postures.shape)
+        moved = np.clip(postures + POSTURE_SIGMA * generator.standard_normal(postures.shape), -1.0, 1.0)
+        is_anew = generator.random((len(postures), 1)) < SYNERGY_REDRAW
+        is_synergy = np.array([name == SYNERGY for name in names], dtype=np.bool_)
+        return np.where(is_synergy, np.where(is_anew, anew, postures), moved)
+
+    def _weights(self, wanted: Floats) -> Floats:
+        """Return the numbers that rank each genome's candidates: (n, w).
+
+        All zero where every pose counts, because one that is refused would count as well.
+        """
+        if self._counts_all:
+            return np.zeros((len(wanted), RANKING_GENES[self._space.layout.prior]))
         return self._model.ranking(wanted)
+
+    def _exploring(self, generation: int, n: int) -> AimedGrasps:
+        found = len(self._elites) > 0
+        free_share = 0.0 if found else min(0.5, 0.5 * self._asked / ANYWHERE_GENOMES)
+        loosest = 0.0 if self._candidates == 1 else 1.0
+        rng = keyed_generator(self._spec.seed, "scouts", generation)  # another key, other runs
+        return exploration_grasps(self._space, n, free_share, loosest, rng)
+
+    def _aimed_at(self, genomes: Genomes) -> Places:
+        """The cells (n,) that genomes (n, d) aim at."""
+        target = Layout(self._space.layout.prior, self._space.layout.genes[TARGET])
+        return self._frontier.places(target.values(genomes[:, TARGET]))

@@ -15,8 +15,8 @@ from qdgrasp_assets.genes import STEEPEST_VALUE
 from qdgrasp_coordinator.scheduler.run_plan import plan_run
 from qdgrasp_coordinator.search.base import search_space
 from qdgrasp_coordinator.search.registry import learns_value, prior_of, search_words
-from qdgrasp_coordinator.search.success_model import pooled_weights
-from qdgrasp_coordinator.search.value_search import STARTS, ValueSearch
+from qdgrasp_coordinator.search.success_model import STARTS, pooled_weights
+from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import ORIGIN
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder

@@ -3,22 +3,14 @@
 A hand looks at the box with its approach axis; it succeeds where its fingers reach over the surface, with
 little lean and rolled along an edge, and overlaps where they reach over it otherwise. Noise that the pose
 itself decides makes one of two like poses fail. Rows come back with what a worker would tell: the position
-with the features of the prior `aimed` behind it.
+with the features of the prior `valued` behind it.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from qdgrasp_assets.genes import (
-    AIMED,
-    MOST_CANDIDATES,
-    PRIOR_FEATURES,
-    RANKING_GENES,
-    STEEPEST,
-    STEEPEST_VALUE,
-    VALUED,
-)
+from qdgrasp_assets.genes import MOST_CANDIDATES, RANKING_GENES, STEEPEST_VALUE, VALUE_FEATURES, VALUED
 from qdgrasp_assets.geometry.rotation import conjugate, dot, from_frame, multiply, tangents, turned, unit
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.search.base import SearchSpace
@@ -29,9 +21,6 @@ SIZE = np.array([0.04, 0.06, 0.1])
 PALM, DEEPEST = 0.06, 0.05
 """From the base to the palm, and from the palm to the fingertips [m]."""
 AXIS = np.array([1.0, 0.0, 0.0])
-STEEP = {AIMED: STEEPEST, VALUED: STEEPEST_VALUE}
-LAST = {AIMED: Gene("constant", -STEEPEST, STEEPEST), VALUED: Gene("wanted", 0.0, 1.0)}
-"""The last gene that ranks candidates."""
 LOOSE = 0.007
 TURN = 0.15
 
@@ -98,40 +87,38 @@ class Poses:
         found = np.where(good, held, Outcome.MISSED)
         return np.where(self.is_there, np.where(self.overlaps, Outcome.OVERLAP, found), Outcome.DEAD_END)
 
-    def features(self, prior: str) -> np.ndarray:
-        """The features (n, f) of a prior; those that this scene has no formula for are zero."""
+    @property
+    def features(self) -> np.ndarray:
+        """The features (n, f) of the prior; those that this scene has no formula for are zero."""
         swept = np.clip(self.depths - 0.2 * self.skews, 0, 1)
         known = {"swept": swept, "opposed": swept, "facing": self.facing, "distance": 1 - self.depths}
         known |= {"squareness": 1 - self.skews, "constant": np.ones_like(swept)}
-        names = PRIOR_FEATURES.get(prior, PRIOR_FEATURES[AIMED])
-        return np.stack([known.get(name, np.zeros_like(swept)) for name in names], axis=-1)
+        return np.stack([known.get(name, np.zeros_like(swept)) for name in VALUE_FEATURES], axis=-1)
 
 
 def space(prior: str, posture: tuple[str, ...] = ()) -> SearchSpace:
-    """The space of genomes of `prior`, "aimed", "valued" or "contact"."""
+    """The space of genomes of `prior`, "valued" or "contact"."""
     reach = PALM + DEEPEST
     box = (-SIZE / 2 - reach, SIZE / 2 + reach)
-    own = _aimed(prior, box) if prior in RANKINGS else _contact()
+    own = _aimed(box) if prior == VALUED else _contact()
     layout = Layout(prior, own + tuple(Gene(name, 0.0, 1.0) for name in posture))
     return SearchSpace(layout, box, tuple(AXIS), (PALM, reach))
 
 
 def shape(where: SearchSpace) -> RowShape:
-    return RowShape(
-        len(where.layout), 1, 3 + len(PRIOR_FEATURES.get(where.layout.prior, PRIOR_FEATURES[AIMED]))
-    )
+    return RowShape(len(where.layout), 1, 3 + len(VALUE_FEATURES))
 
 
 def evaluate(where: SearchSpace, generation: int, genomes: np.ndarray) -> Rows:
     """Rows that are a function of the genomes alone."""
     rows = shape(where).empty(len(genomes))
     rows["generation"], rows["index"], rows["genome"] = generation, np.arange(len(genomes)), genomes
-    values, prior = where.layout.values(genomes), where.layout.prior
-    poses, proposals = _candidates(prior, genomes, values) if prior in RANKINGS else (_cone(values), 1)
+    values, is_aimed = where.layout.values(genomes), where.layout.prior == VALUED
+    poses, proposals = _candidates(genomes, values) if is_aimed else (_cone(values), 1)
     rows["outcome"] = np.where(np.less(proposals, 0), Outcome.DEAD_END, poses.outcomes)
     rows["proposals"] = np.abs(proposals)
     rows["fitness"] = np.maximum(rows["outcome"].astype(float) - Outcome.DROPPED, 0)
-    rows["descriptor"] = np.concatenate([poses.positions, poses.features(prior)], axis=1)
+    rows["descriptor"] = np.concatenate([poses.positions, poses.features], axis=1)
     rows["base_to_object"] = np.concatenate([poses.positions, poses.quaternions], axis=1)
     rows["surface_point"] = poses.contacts
     return rows
@@ -170,15 +157,15 @@ def nearest(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return on, normals
 
 
-def _aimed(prior: str, box) -> tuple[Gene, ...]:
+def _aimed(box) -> tuple[Gene, ...]:
     return (
         *(Gene(name, *ends) for name, *ends in zip("xyz", *box, strict=True)),
         *(Gene(name, -size / 2, size / 2) for name, size in zip("xyz", SIZE, strict=True)),
         Gene("omega", 0.0, 2 * np.pi),
         Gene("looseness", 0.0, 1.0),
         Gene("candidates", 1.0, MOST_CANDIDATES),
-        *(Gene(f"weight {i}", -STEEP[prior], STEEP[prior]) for i in range(RANKING_GENES[prior] - 1)),
-        LAST[prior],
+        *(Gene(f"weight {i}", -STEEPEST_VALUE, STEEPEST_VALUE) for i in range(RANKING_GENES[VALUED] - 1)),
+        Gene("wanted", 0.0, 1.0),
     )
 
 
@@ -196,15 +183,15 @@ def _cone(values: np.ndarray) -> Poses:
     return Poses(contacts + (PALM + d)[:, None] * outward, contacts, normals, omega)
 
 
-def _candidates(prior: str, genomes: np.ndarray, values: np.ndarray) -> tuple[Poses, np.ndarray]:
+def _candidates(genomes: np.ndarray, values: np.ndarray) -> tuple[Poses, np.ndarray]:
     """The best candidate of each genome, and how many it had; less than 0: none was worth it."""
-    chosen = [_choose(prior, *pair) for pair in zip(genomes, values, strict=True)]
+    chosen = [_choose(*pair) for pair in zip(genomes, values, strict=True)]
     poses = [pose for pose, _ in chosen]
     stacked = Poses(*(np.stack(column) for column in zip(*(vars(p).values() for p in poses), strict=True)))
     return stacked, np.array([proposals for _, proposals in chosen])
 
 
-def _choose(prior: str, genome: np.ndarray, values: np.ndarray) -> tuple[Poses, int]:
+def _choose(genome: np.ndarray, values: np.ndarray) -> tuple[Poses, int]:
     generator = np.random.default_rng(np.frombuffer(genome.tobytes(), np.uint32))
     n, looseness = int(np.rint(values[8])), values[7]
     scatter = float(n > 1)
@@ -219,8 +206,8 @@ def _choose(prior: str, genome: np.ndarray, values: np.ndarray) -> tuple[Poses, 
     first, second = tangents(unit(contacts - positions))
     kept = np.arctan2(dot(aside, second), dot(aside, first)) + scatter * generator.normal(0, TURN, n)
     poses = Poses(positions, contacts, normals, np.where(is_loose, generator.uniform(0, 2 * np.pi, n), kept))
-    ranking, weights = RANKINGS[prior], values[None, 9 : 9 + RANKING_GENES[prior]]
-    scores = ranking.scores(poses.features(prior), np.repeat(weights, n, axis=0))
+    ranking, weights = RANKINGS[VALUED], values[None, 9 : 9 + RANKING_GENES[VALUED]]
+    scores = ranking.scores(poses.features, np.repeat(weights, n, axis=0))
     order = np.argsort(-scores, kind="stable")
     ranked, (threshold,) = poses[order], ranking.thresholds(weights)
     ways_on = (ranked.outcomes >= Outcome.MISSED) & (scores[order] >= threshold)

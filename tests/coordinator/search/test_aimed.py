@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.coordinator.search.synthetic_scene import (
-    DEEPEST,
-    PALM,
     SIZE,
     covered,
     evaluate,
@@ -18,21 +16,19 @@ from tests.coordinator.search.synthetic_scene import (
 
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
-from qdgrasp_coordinator.search import aimed
 from qdgrasp_coordinator.search.aimed import (
     CANDIDATES,
     CONTACT,
-    FIRST_EXPLORING,
     LOOSENESS,
     TARGET,
     AimedGrasps,
-    AimedSearch,
     directions,
     exploration_grasps,
     scatter_grasps,
 )
 from qdgrasp_coordinator.search.base import SearchSpace
 from qdgrasp_coordinator.search.registry import AIMED, method, prior_of
+from qdgrasp_coordinator.search.value_search import FIRST_EXPLORING, ValueSearch
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 
@@ -50,17 +46,17 @@ def spec(**values) -> RunSpec:
     return RunSpec(**defaults | values)
 
 
-def build(asked: RunSpec, posture: tuple[str, ...] = ()) -> tuple[AimedSearch, SearchSpace]:
+def build(asked: RunSpec, posture: tuple[str, ...] = ()) -> tuple[ValueSearch, SearchSpace]:
     """The search that a spec asks for, and its space."""
     where = space(prior_of(asked), posture)
     search = AIMED.build(asked, where)
-    assert isinstance(search, AimedSearch)
+    assert isinstance(search, ValueSearch)
     return search, where
 
 
 def digest() -> str:
-    """The sha256 over what is asked and told in 1000 evaluations for each objective."""
-    told = [play(*build(spec(**objective), POSTURE), 1000).tobytes() for objective in OBJECTIVES.values()]
+    """The sha256 over what is asked and told in 300 evaluations for each objective."""
+    told = [play(*build(spec(**objective), POSTURE), 300).tobytes() for objective in OBJECTIVES.values()]
     return hashlib.sha256(b"".join(told)).hexdigest()
 
 
@@ -73,11 +69,10 @@ def objective(request) -> dict[str, Any]:
     return OBJECTIVES[request.param]
 
 
-@pytest.mark.parametrize("in_flight", [pytest.param(1, marks=pytest.mark.slow), 2])
-def test_a_run_that_was_stopped_goes_on_to_the_same_journal(in_flight, objective) -> None:
+def test_a_run_that_was_stopped_goes_on_to_the_same_journal(objective) -> None:
     def pipeline() -> Pipeline:
         search, _ = build(spec(seed=3, **objective), POSTURE)
-        return Pipeline(search, shape(where), 700, "redraw", Flight(in_flight))
+        return Pipeline(search, shape(where), 400, "redraw", Flight(2))
 
     def journal(running: Pipeline, last_first: bool = False) -> Rows:
         pieces = []
@@ -94,40 +89,24 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_journal(in_flight, objective
     whole = journal(pipeline())
     assert journal(pipeline(), last_first=True).tobytes() == whole.tobytes()
     resumed = pipeline()
-    resumed.replay(whole[:333])
-    assert journal(resumed).tobytes() == whole[333:].tobytes()
+    resumed.replay(whole[:233])
+    assert journal(resumed).tobytes() == whole[233:].tobytes()
 
 
 def test_with_one_candidate_it_still_covers_more_when_overlaps_count(objective: dict[str, Any]) -> None:
     search, where = build(spec(overlaps="count", **objective))
-    rows = play(search, where, 2000, "count")
+    rows = play(search, where, 1000, "count")
     values = where.layout.values(rows["genome"])
     assert (values[:, CANDIDATES] == 1).all()
     assert (values[:, LOOSENESS] == 0).mean() > 0.9
     other = space("contact")
     elites = method("contact_me_scs").build(spec(population=500, overlaps="count"), other)
-    assert covered(rows) > 1.5 * covered(play(elites, other, 2000, "count"))
-
-
-@pytest.mark.parametrize("population", [1, 50, 500])
-def test_any_population_finds_its_way(population: int, objective: dict[str, Any]) -> None:
-    rows = play(*build(spec(population=population, **objective)), 600)
-    assert len(rows) % population == 0
-    assert covered(rows) > (100 if population == 500 else 300 / objective.get("grasps_per_cell", 1))
-
-
-def test_no_target_lies_outside_the_box(objective: dict[str, Any]) -> None:
-    search, where = build(spec(**objective))
-    rows = play(search, where, 2000)
-    low, high = where.box
-    assert (targets(where, rows) >= low).all()
-    assert (targets(where, rows) <= high).all()
-    assert np.abs(rows["genome"]).max() <= 1
+    assert covered(rows) > 1.5 * covered(play(elites, other, 1000, "count"))
 
 
 def test_where_every_pose_counts_hands_stand_as_far_from_the_hint_as_they_can(objective) -> None:
     search, where = build(spec(overlaps="count", **objective))
-    values = where.layout.values(play(search, where, 2000)["genome"])[FIRST_EXPLORING:]
+    values = where.layout.values(play(search, where, 1000)["genome"])[FIRST_EXPLORING:]
     distances = np.linalg.norm(values[:, TARGET] - values[:, CONTACT], axis=1)
     least, greatest = where.distances
     scatter = 0.005
@@ -136,17 +115,15 @@ def test_where_every_pose_counts_hands_stand_as_far_from_the_hint_as_they_can(ob
 
 def test_the_beginning_and_a_few_later_genomes_explore(objective: dict[str, Any]) -> None:
     search, where = build(spec(**objective))
-    rows = play(search, where, 2000)
+    rows = play(search, where, 1000)
     loose = where.layout.values(rows["genome"])[:, LOOSENESS] > 0
     assert loose[:FIRST_EXPLORING].all()
-    assert 0.01 < loose[1000:][rows["outcome"][1000:] >= Outcome.MISSED].mean() < 0.1
+    assert 0.01 < loose[500:][rows["outcome"][500:] >= Outcome.MISSED].mean() < 0.1
 
 
-@pytest.mark.parametrize("outcome", [Outcome.ERROR, Outcome.DEAD_END, Outcome.OVERLAP, Outcome.MISSED])
-def test_without_a_success_it_explores_on_and_aims_anywhere(
-    outcome: Outcome, objective: dict[str, Any]
-) -> None:
-    (seeking, where), asked = build(spec(**objective)), []
+@pytest.mark.parametrize("outcome", [Outcome.DEAD_END, Outcome.MISSED])
+def test_without_a_success_it_explores_on_and_aims_anywhere(outcome: Outcome) -> None:
+    (seeking, where), asked = build(spec()), []
     for generation in range(60):
         rows = evaluate(where, generation, seeking.ask(generation))
         rows["outcome"] = outcome
@@ -158,30 +135,6 @@ def test_without_a_success_it_explores_on_and_aims_anywhere(
     assert (looseness[:200] == 1).mean() < 0.1
     assert (looseness[-500:] == 1).mean() == pytest.approx(0.5, abs=0.1)
     assert len(np.unique(rows["genome"], axis=0)) == len(rows)
-
-
-def test_dead_ends_are_not_tried_for_ever(objective: dict[str, Any]) -> None:
-    """One cell in three is a dead end for all genomes."""
-    (seeking, where), told = build(spec(**objective)), []
-    for generation in range(80):
-        rows = evaluate(where, generation, seeking.ask(generation))
-        rows["outcome"][cells(targets(where, rows)).sum(axis=1) % 3 == 0] = Outcome.DEAD_END
-        seeking.tell(generation, rows)
-        told.append(rows)
-    rows = np.concatenate(told)
-    aimed_at, times = np.unique(cells(targets(where, rows)), axis=0, return_counts=True)
-    dead = aimed_at.sum(axis=1) % 3 == 0
-    assert times[dead].max() < 30
-    assert covered(rows) > 450
-
-
-def test_synergies_are_inherited_but_for_some_and_free_joints_drift() -> None:
-    seeking, _ = build(spec(), POSTURE)
-    parents = np.tile(np.array([[0.5, -1.0]]), (4000, 1))
-    children = seeking._varied(parents, np.random.default_rng(0))
-    assert (children[:, 0] != 0.5).mean() == pytest.approx(aimed.SYNERGY_REDRAW, abs=0.03)
-    assert np.abs(children).max() <= 1
-    assert 0 < (children[:, 1] + 1).mean() < 0.05
 
 
 def test_scattered_aims_stay_in_their_cells_and_are_all_different() -> None:
@@ -196,11 +149,7 @@ def test_scattered_aims_stay_in_their_cells_and_are_all_different() -> None:
 
 
 def drawn(free_share: float, n: int = 2000) -> AimedGrasps:
-    return exploration_grasps(space("aimed"), n, free_share, 1.0, np.random.default_rng(0))
-
-
-def distances(aims: AimedGrasps) -> np.ndarray:
-    return np.linalg.norm(aims.targets - aims.contacts, axis=1)
+    return exploration_grasps(space("valued"), n, free_share, 1.0, np.random.default_rng(0))
 
 
 def test_an_exploring_hand_looks_at_a_face_from_before_it() -> None:
@@ -210,17 +159,3 @@ def test_an_exploring_hand_looks_at_a_face_from_before_it() -> None:
     towards = directions(aims.targets, aims.contacts)
     inward = -np.sign(aims.contacts) * on_face
     assert ((towards * inward).sum(axis=1) > np.cos(np.pi / 4) - 1e-9).all()
-
-
-def test_an_exploring_hand_stands_in_the_near_half_of_where_the_hand_can_stand() -> None:
-    found = distances(drawn(free_share=0.0))
-    assert found.min() == pytest.approx(PALM, abs=1e-4)
-    assert found.max() == pytest.approx(PALM + DEEPEST / 2, abs=1e-4)
-
-
-def test_free_ones_aim_anywhere_in_the_box() -> None:
-    low, high = space("aimed").box
-    found = (drawn(free_share=1.0).targets - low) / (high - low)
-    assert np.abs(found.mean(axis=0) - 0.5).max() < 0.05
-    assert found.min() < 0.01
-    assert found.max() > 0.99

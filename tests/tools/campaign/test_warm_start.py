@@ -18,8 +18,8 @@ from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.search.registry import check_spec
-from qdgrasp_coordinator.search.success_model import LogisticRegression, pooled_weights
-from qdgrasp_coordinator.search.value_search import STARTS, ValueSearch
+from qdgrasp_coordinator.search.success_model import STARTS, LogisticRegression, pooled_weights
+from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_coordinator.storage.outputs import ORIGIN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, InputError
