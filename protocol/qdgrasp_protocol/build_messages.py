@@ -11,8 +11,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import BatchId, Count, Digest, Message, Number, ShownKey, Text, Wid
+from qdgrasp_protocol.messages import BatchId, Count, Digest, Message, Number, ShownKey, Text, Wid, inflate
 
 
 class MeshPreparation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -93,18 +92,8 @@ def split_payload(payload: bytes) -> tuple[bytes, ...]:
 
 
 def join_payload(pieces: Iterable[bytes], most: int) -> bytes:
-    """Return the payload in deflated pieces.
-
-    Raises MessageError if it is damaged, or has more bytes than `most`.
-    """
-    inflater = zlib.decompressobj()
-    try:
-        payload = inflater.decompress(b"".join(pieces), most)
-    except zlib.error as error:
-        raise MessageError(f"it is damaged: {error}") from None
-    if not inflater.eof:
-        raise MessageError(f"it is cut short, or has more than {most} bytes")
-    return payload
+    """Return the payload in deflated pieces; raises MessageError as `inflate`."""
+    return inflate(b"".join(pieces), most)
 
 
 class Build(Message, frozen=True, kw_only=True):

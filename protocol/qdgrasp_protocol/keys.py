@@ -129,25 +129,12 @@ def parse_number(text: str) -> int | None:
 
 def matches(pattern: str, key: str) -> bool:
     """Return whether a key matches a pattern: `*` one chunk, `**` any number, neither `@...`."""
-    return _matches(pattern.split("/"), key.split("/"))
+    return patterns_intersect(pattern, key)
 
 
 def patterns_intersect(one: str, other: str) -> bool:
     """Return whether a key exists that both patterns match."""
     return _intersect(one.split("/"), other.split("/"))
-
-
-def _matches(pattern: list[str], key: list[str]) -> bool:
-    if not pattern:
-        return not key
-    head, *rest = pattern
-    if head == "**":
-        return _matches(rest, key) or (
-            bool(key) and not key[0].startswith("@") and _matches(pattern, key[1:])
-        )
-    if not key or not (head == key[0] or (head == "*" and not key[0].startswith("@"))):
-        return False
-    return _matches(rest, key[1:])
 
 
 def _intersect(one: list[str], other: list[str]) -> bool:

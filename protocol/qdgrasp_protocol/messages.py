@@ -58,6 +58,18 @@ def deflated(columns: Mapping[str, bytes]) -> dict[str, bytes]:
     }
 
 
+def inflate(blob: bytes, most: int) -> bytes:
+    """Return deflated bytes as they were; a MessageError if damaged, or more than `most`."""
+    inflater = zlib.decompressobj()
+    try:
+        found = inflater.decompress(blob, most)
+    except zlib.error as error:
+        raise MessageError(f"it is damaged: {error}") from None
+    if not inflater.eof:
+        raise MessageError(f"it is cut short, or has more than {most} bytes")
+    return found
+
+
 def shorten(text: str) -> str:
     """Text cut to what a message may carry: 200 bytes of UTF-8."""
     return text.encode(errors="replace")[:200].decode(errors="ignore")

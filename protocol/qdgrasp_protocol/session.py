@@ -2,7 +2,7 @@
 
 An endpoint is where a session listens or connects. A session proves its role with the files of a folder that
 `qdgrasp security init` wrote. One builder makes the settings of every session, for our own processes and for
-zenoh's tools. Why no session could be opened is found out by one more try with nothing but a socket.
+zenoh's tools.
 """
 
 import ipaddress
@@ -11,30 +11,22 @@ import os
 import re
 import socket
 import stat
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import structlog
 
 from qdgrasp_protocol.errors import EndpointError, SecurityError
 
-if TYPE_CHECKING:
-    import ssl
-
-
 log = structlog.get_logger()
 
 LOOPBACK, PORT = "127.0.0.1", 7447
-HOST_AND_PORT = re.compile(r"(?P<protocol>tcp|tls|quic|udp|ws)/(?P<host>[^\s,]+):(?P<port>[0-9]{1,5})(#\S+)?")
+HOST_AND_PORT = re.compile(r"(?P<protocol>tcp|tls)/(?P<host>[^\s,]+):(?P<port>[0-9]{1,5})(#\S+)?")
 SOCKET_FILE = re.compile(r"(?P<protocol>unixsock-stream)/[^\s,]+")
-ENCRYPTED = frozenset({"tls", "quic"})
-STREAMS = frozenset({"tcp", "tls", "ws"})
-"""Protocols over TCP, where a connection shows whether something listens."""
 
 
 def _is_host(text: str) -> bool:
@@ -69,7 +61,7 @@ class Endpoint:
     @property
     def is_encrypted(self) -> bool:
         """True if it needs certificates and is protected by them."""
-        return self.protocol in ENCRYPTED
+        return self.protocol == "tls"
 
     @property
     def is_local(self) -> bool:
@@ -156,6 +148,9 @@ class Credentials:
 
     folder: Path
     role: Role
+
+    def __str__(self) -> str:
+        return f"the {self.role} in {self.folder}"
 
     @classmethod
     def find(cls, folder: Path | None, role: Role) -> "Credentials | None":
@@ -332,64 +327,9 @@ def _tls_settings(mode: Mode, credentials: Credentials) -> ZenohSettings:
     return {f"transport/link/tls/{name}": value for name, value in (always | shown).items()}
 
 
-CONNECT_HINT = (
-    "Is the coordinator or router running there? Name another with --connect, or wait longer with --wait."
-)
-SYSTEM_ERROR = re.compile(r"([A-Z][a-z ]+) \(os error")
 SOURCE_PLACE = re.compile(r" at /\S+\.rs:[0-9]+\.?")
 MAX_ZENOH_ERROR = 300  # The most characters that are repeated of what zenoh says
 HANDSHAKE_SECONDS = 2.0  # seconds that the other side may take for one step
-REFUSAL_SECONDS = 0.5
-"""Seconds, besides twice those of the handshake, in which it says whether it takes our certificate.
-
-It waits for us to speak first.
-"""
-
-
-class Unreachable(EndpointError):
-    """No router answers, with the reason for each endpoint."""
-
-    def __init__(
-        self, endpoints: Sequence[Endpoint], seconds: float, credentials: Credentials | None
-    ) -> None:
-        names = ", ".join(endpoint.text for endpoint in endpoints)
-        reasons = [handshake_error(endpoint, credentials) for endpoint in endpoints] if credentials else []
-        if known := " ".join(filter(None, reasons)):
-            super().__init__(f"No session at {names}: {known}")
-            return
-        likely = " ".join(filter(None, map(silence_of, endpoints)))
-        super().__init__(f"Nothing answers at {names} after {seconds:g} s. {likely} {CONNECT_HINT}")
-
-
-def silence_of(endpoint: Endpoint) -> str:
-    """Return why no router answers at an endpoint; empty where a socket does not show it."""
-    if endpoint.protocol not in STREAMS:
-        return ""
-    try:
-        socket.create_connection((endpoint.host, endpoint.port), HANDSHAKE_SECONDS).close()
-    except ConnectionRefusedError:
-        return f"Nothing listens at {endpoint.text}."
-    except TimeoutError:
-        return f"No host answers at {endpoint.text}: it is off, or a firewall is before it."
-    except OSError as error:
-        return f"There is no way to {endpoint.text} ({(error.strerror or str(error)).lower()})."
-    return (
-        f"Something listens at {endpoint.text}, but opened no session in that time: the link is slow, or it "
-        "is no router of qdgrasp."
-    )
-
-
-class NotListening(EndpointError):
-    """A router cannot listen on an endpoint, by an error of zenoh."""
-
-    def __init__(self, endpoint: str, error: str) -> None:
-        why = SYSTEM_ERROR.search(error)
-        if why:
-            super().__init__(
-                f"Cannot listen on {endpoint}: {why[1].lower()}; name another endpoint with --listen."
-            )
-        else:
-            super().__init__(f"Cannot listen on {endpoint}: zenoh says '{clean_zenoh_error(error)}'.")
 
 
 def clean_zenoh_error(error: str) -> str:
@@ -397,45 +337,35 @@ def clean_zenoh_error(error: str) -> str:
     return " ".join(SOURCE_PLACE.sub("", error).split())[:MAX_ZENOH_ERROR].rstrip(".")
 
 
-def handshake_error(endpoint: Endpoint, credentials: Credentials) -> str:
-    """Return why a TLS handshake fails; empty if it succeeds, or the port is closed."""
+def unreachable_error(
+    endpoints: Sequence[Endpoint], seconds: float, credentials: Credentials | None
+) -> EndpointError:
+    """Return the error for routers that do not answer, with the reason for each endpoint."""
+    reasons = "; ".join(f"{endpoint.text}: {_failure(endpoint, credentials)}" for endpoint in endpoints)
+    return EndpointError(
+        f"Nothing answers within {seconds:g} s at {reasons}. Is the coordinator or router running there? "
+        "Name another with --connect, or wait longer with --wait."
+    )
+
+
+def _failure(endpoint: Endpoint, credentials: Credentials | None) -> str:
+    """Return why no session is opened, by one more try with nothing but a socket."""
     import ssl  # a worker that is welcome need not load it
 
     try:
-        context = ssl.create_default_context(cafile=str(credentials.authority))
-    except (OSError, ssl.SSLError) as error:
-        return f"{credentials.authority} cannot be used ({_ssl_reason(error)})."
-    try:
-        context.load_cert_chain(credentials.certificate, credentials.key)
-    except (OSError, ssl.SSLError) as error:
-        return f"{credentials.certificate} and its key cannot be used ({_ssl_reason(error)})."
-    try:
-        shake_hands(endpoint, context)
+        with socket.create_connection((endpoint.host, endpoint.port), HANDSHAKE_SECONDS) as plain:
+            if credentials is not None:
+                context = ssl.create_default_context(cafile=str(credentials.authority))
+                context.load_cert_chain(credentials.certificate, credentials.key)
+                with (
+                    context.wrap_socket(plain, server_hostname=endpoint.host) as link,
+                    suppress(TimeoutError),
+                ):
+                    link.recv(1)  # a router that does not take our certificate says so only now
     except ssl.SSLCertVerificationError as error:
-        return f"the certificate it shows is not good ({error.verify_message})."
+        return f"the certificate it shows is not good ({error.verify_message})"
     except ssl.SSLError as error:
-        return f"it does not take {credentials.certificate} ({_ssl_reason(error)})."
-    except OSError:
-        return ""
-    return ""
-
-
-def shake_hands(endpoint: Endpoint, context: "ssl.SSLContext") -> bool:
-    """Shake hands with a router, and leave; True if it would have kept the link.
-
-    An SSLError if one side does not trust the other, another OSError if the endpoint is closed.
-    """
-    began = time.monotonic()
-    with (
-        socket.create_connection((endpoint.host, endpoint.port), HANDSHAKE_SECONDS) as plain,
-        context.wrap_socket(plain, server_hostname=endpoint.host) as link,
-    ):
-        link.settimeout(REFUSAL_SECONDS + 2 * (time.monotonic() - began))
-        with suppress(TimeoutError):
-            return bool(link.recv(1))  # a router that does not take our certificate says so only now
-        return True
-
-
-def _ssl_reason(error: OSError) -> str:
-    reason = getattr(error, "reason", None) or error.strerror or type(error).__name__
-    return str(reason).lower().replace("_", " ")
+        return f"it does not take the files of {credentials} ({error.reason or error})"
+    except OSError as error:
+        return (error.strerror or str(error)).lower()
+    return "something listens, but the link is slow, or it is no router of qdgrasp"

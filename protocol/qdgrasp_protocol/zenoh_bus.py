@@ -1,6 +1,7 @@
 """The bus over Eclipse Zenoh: the one module that imports zenoh."""
 
 import json
+import re
 import socket
 import threading
 import time
@@ -33,14 +34,13 @@ from qdgrasp_protocol.session import (
     OPEN_SECONDS,
     Credentials,
     Mode,
-    NotListening,
-    Unreachable,
     ZenohSettings,
     check_open,
     clean_zenoh_error,
     default_endpoint,
     parse_endpoints,
     session_settings,
+    unreachable_error,
 )
 from qdgrasp_protocol.text import printable
 
@@ -56,6 +56,7 @@ ERROR_ENCODINGS: dict[type[BusError], str] = {
 }
 """Encodings of error replies by error; a reply without either is zenoh's own (time-out)."""
 
+SYSTEM_ERROR = re.compile(r"([A-Z][a-z ]+) \(os error")
 MAX_REASON = 1000  # The most bytes that are shown of a refusal
 
 QOS = {
@@ -129,7 +130,7 @@ class ZenohBus(Bus):
             if end is not None and not isinstance(end, zenoh.ZError):
                 raise end
             if time.monotonic() >= deadline:
-                raise Unreachable(endpoints, deadline_seconds, credentials)
+                raise unreachable_error(endpoints, deadline_seconds, credentials)
             order.rotate(-1)  # a router that does not answer may have taken up all of this try
             patience = min(2 * patience, OPEN_SECONDS)
 
@@ -158,7 +159,11 @@ class ZenohBus(Bus):
         try:
             return cls(zenoh.open(config), "router")
         except zenoh.ZError as error:
-            raise NotListening(endpoint, str(error)) from None
+            why = SYSTEM_ERROR.search(str(error))
+            reason = f"{why[1].lower()}; name another endpoint with --listen" if why else None
+            raise EndpointError(
+                f"Cannot listen on {endpoint}: {reason or clean_zenoh_error(str(error))}."
+            ) from None
 
     @classmethod
     def embedded(

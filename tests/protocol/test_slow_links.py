@@ -73,9 +73,6 @@ def test_silence_of_a_port_is_told_apart_from_a_port_that_nothing_listens_on() -
         closed, open_ = free_port(), mute.getsockname()[1]
         with pytest.raises(EndpointError) as caught:
             ZenohBus.connect(f"tcp/{HOST}:{closed},tcp/{HOST}:{open_}", 0.3)
-    assert str(caught.value) == (
-        f"Nothing answers at tcp/{HOST}:{closed}, tcp/{HOST}:{open_} after 0.3 s. Nothing listens at "
-        f"tcp/{HOST}:{closed}. Something listens at tcp/{HOST}:{open_}, but opened no session in that time: "
-        "the link is slow, or it is no router of qdgrasp. Is the coordinator or router running there? "
-        "Name another with --connect, or wait longer with --wait."
+    assert f"tcp/{HOST}:{closed}: connection refused; tcp/{HOST}:{open_}: something listens" in str(
+        caught.value
     )
