@@ -16,6 +16,7 @@ from datetime import UTC, datetime
 from queue import SimpleQueue
 
 import pytest
+from rich.console import Console
 from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.system.commands import (
     MONITOR,
@@ -34,8 +35,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.monitor.feed import Feed
 from qdgrasp_tools.monitor.job_model import JobView
-from qdgrasp_tools.monitor.terminal.screen import ScreenState, report_lines
-from qdgrasp_tools.monitor.terminal.text_tables import ASCII
+from qdgrasp_tools.monitor.terminal import ScreenState, report
 
 COUNTS = ("evaluations", "budget", "simulated", "proposals", "overlaps", "dead_ends", "successes", "cells")
 
@@ -87,9 +87,10 @@ def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands
         assert getattr(run, name) == info[name], name
     assert sum(run.outcomes.values()) == info["rows"]
     assert run.durable == rows_recorded(qdgrasp.home / "run")
-    told = "\n".join(
-        line.plain for line in report_lines(ScreenState([view], endpoint, datetime.now(UTC)), 80, ASCII)
-    )
+    console = Console(width=80)
+    with console.capture() as printed:
+        console.print(report(ScreenState([view], endpoint, datetime.now(UTC))))
+    told = printed.get()
     assert f"{info['evaluations']} of {info['budget']} evaluations" in told
     assert f"{info['successes']} successes" in told
     assert f"{info['cells']} cells" in told

@@ -1,7 +1,9 @@
 """`qdgrasp-monitor`: watches running jobs, on a terminal, as JSON, or on a page."""
 
+import io
 import json
 import logging
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -24,9 +26,7 @@ from qdgrasp_tools.cli.options import host_and_port
 from qdgrasp_tools.monitor.feed import Feed, ObjectFeed, query_jobs
 from qdgrasp_tools.monitor.job_model import JobView
 from qdgrasp_tools.monitor.records import BusRecords
-from qdgrasp_tools.monitor.terminal.keyboard import Keyboard
-from qdgrasp_tools.monitor.terminal.screen import ScreenState, local_time, report_lines, watch_jobs
-from qdgrasp_tools.monitor.terminal.text_tables import glyphs_of
+from qdgrasp_tools.monitor.terminal import ScreenState, intervals, local_time, report, watch_jobs
 
 log = structlog.get_logger()
 INTERVAL = 1.0  # seconds between two lines of JSON
@@ -45,7 +45,6 @@ def monitor(
         bool,
         typer.Option("--json", help="Print a JSON object in a line: with --once one, else one a second."),
     ] = False,
-    ascii_only: Annotated[bool, typer.Option("--ascii", help="Draw with nothing but ASCII.")] = False,
     web: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Serve a page there, and metrics at /metrics.")
     ] = None,
@@ -70,8 +69,8 @@ def monitor(
     Example: qdgrasp-monitor runs/mugs
     """
     if web is not None:
-        if once or as_json or ascii_only:
-            raise InputError("--web serves a page: leave out --once, --json and --ascii, or it.")
+        if once or as_json:
+            raise InputError("--web serves a page: leave out --once and --json, or it.")
         check_packages("--web", *EXTRAS["monitor"])
     configure_logging("monitor", level=logging.INFO if web else logging.ERROR)
     place = JobPlace.of(directory, connect, security)
@@ -90,7 +89,7 @@ def monitor(
         if as_json:
             echo(to_json(views, endpoint))
         else:
-            print_look(views, endpoint, there.foreign_jobs, ascii_only=ascii_only)
+            print_look(views, endpoint, there.foreign_jobs)
         return
     with lifetime("qdgrasp-monitor") as stop, ExitStack() as stack:
         credentials = Credentials.find(security, Role.MONITOR)
@@ -101,9 +100,7 @@ def monitor(
         elif as_json:
             stream_looks(feed, endpoint, stop)
         else:
-            console = Console()
-            objects = ObjectFeed(BusRecords(bus).objects)
-            watch_jobs(feed, objects, endpoint, console, glyphs_of(console, ascii_only=ascii_only), stop)
+            watch_jobs(feed, ObjectFeed(BusRecords(bus).objects), endpoint, terminal_console(), stop)
     raise typer.Exit(stop.exit_code)
 
 
@@ -114,21 +111,22 @@ def chosen_views(views: Sequence[JobView], job: str | None) -> Sequence[JobView]
     return [view for view in views if job in (None, view.job)]
 
 
-def print_look(
-    views: Sequence[JobView], endpoint: str, foreign_jobs: Sequence[str], *, ascii_only: bool
-) -> None:
+def print_look(views: Sequence[JobView], endpoint: str, foreign_jobs: Sequence[str]) -> None:
     """Print the state of jobs once."""
-    console = Console(highlight=False)
-    shown = ScreenState(views, endpoint, local_time(), foreign_jobs=foreign_jobs)
-    for line in report_lines(shown, console.width, glyphs_of(console, ascii_only=ascii_only)):
-        console.print(line, soft_wrap=True)
+    terminal_console().print(report(ScreenState(views, endpoint, local_time(), foreign_jobs=foreign_jobs)))
+
+
+def terminal_console() -> Console:
+    """Return the terminal; one that is not UTF-8 shows question marks for what it lacks."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+    return Console(highlight=False)
 
 
 def stream_looks(feed: Feed, endpoint: str, stop: Stop) -> None:
     """Print the state of jobs every second."""
-    keyboard = Keyboard(stop, None)
-    while not stop.is_set:
-        keyboard.wait(INTERVAL)
+    feed.wait(INTERVAL)
+    for _ in intervals(INTERVAL, stop):
         echo(to_json(feed.views(), endpoint))
 
 

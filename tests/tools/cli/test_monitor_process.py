@@ -30,18 +30,16 @@ def test_json_is_one_line_from_which_all_can_be_read_again() -> None:
     assert msgspec.convert(read["jobs"], list[JobView]) == BOTH
 
 
-@pytest.mark.parametrize("ascii_only", [True, False])
-def test_one_look_shows_all_jobs_and_names_those_of_another_version(capsys, monkeypatch, ascii_only) -> None:
+def test_one_look_shows_all_jobs_and_names_those_of_another_version(capsys, monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    monitor_process.print_look(BOTH, ENDPOINT, ["old"], ascii_only=ascii_only)
+    monitor_process.print_look(BOTH, ENDPOINT, ["old"])
     said = capsys.readouterr().out
     for words in ("mugs: running", "cubes: running", "qdgrasp-monitor: old", "1 000 of 3 000", "n0"):
         assert words in said
     assert max(map(len, said.splitlines())) <= 80
-    assert said.isascii() or not ascii_only
 
 
-@pytest.mark.parametrize("flag", ["--once", "--json", "--ascii"])
+@pytest.mark.parametrize("flag", ["--once", "--json"])
 def test_a_page_has_no_flags_of_a_terminal(flag: str) -> None:
     refused = CliRunner().invoke(app, [flag, "--web", "localhost:0"])
     assert isinstance(refused.exception, InputError)

@@ -11,7 +11,7 @@ from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
-from qdgrasp_tools.monitor.terminal.screen import ScreenState
+from qdgrasp_tools.monitor.terminal import ScreenState
 
 NOON = datetime(2026, 11, 21, 12, tzinfo=UTC)
 NOW = datetime(2026, 11, 22, 13, 2, 3, tzinfo=UTC)
