@@ -185,35 +185,32 @@ def _cone(values: np.ndarray) -> Poses:
 
 def _candidates(genomes: np.ndarray, values: np.ndarray) -> tuple[Poses, np.ndarray]:
     """The best candidate of each genome, and how many it had; less than 0: none was worth it."""
-    chosen = [_choose(*pair) for pair in zip(genomes, values, strict=True)]
-    poses = [pose for pose, _ in chosen]
-    stacked = Poses(*(np.stack(column) for column in zip(*(vars(p).values() for p in poses), strict=True)))
-    return stacked, np.array([proposals for _, proposals in chosen])
-
-
-def _choose(genome: np.ndarray, values: np.ndarray) -> tuple[Poses, int]:
-    generator = np.random.default_rng(np.frombuffer(genome.tobytes(), np.uint32))
-    n, looseness = int(np.rint(values[8])), values[7]
-    scatter = float(n > 1)
-    middle = cells(values[None, :3]) / 100 if n > 1 else values[None, :3]
-    positions = middle + scatter * generator.uniform(-0.005, 0.005, (n, 3))
-    hints = values[3:6] + scatter * generator.normal(0, LOOSE, (n, 3))
-    anywhere = generator.uniform(-SIZE / 2, SIZE / 2, (n, 3))
-    is_loose = generator.random(n) < looseness
+    counts = np.rint(values[:, 8]).astype(int)
+    owners = np.repeat(np.arange(len(genomes)), counts)
+    draws = np.concatenate([_draws(*pair) for pair in zip(genomes, counts, strict=True)])
+    each, scatter = values[owners], (counts > 1)[owners, None]
+    positions = np.where(scatter, cells(each[:, :3]) / 100 + 0.01 * (draws[:, :3] - 0.5), each[:, :3])
+    hints = each[:, 3:6] + scatter * 3 * LOOSE * (draws[:, 3:6] - 0.5)
+    is_loose = draws[:, 6] < each[:, 7]
+    anywhere = SIZE * (draws[:, 7:10] - 0.5)
     contacts, normals = nearest(np.where(is_loose[:, None], anywhere, hints))
-    way = (values[3:6] - values[:3])[None]
-    aside, _ = turned(*tangents(unit(way)), values[6:7])
+    aside, _ = turned(*tangents(unit(each[:, 3:6] - each[:, :3])), each[:, 6])
     first, second = tangents(unit(contacts - positions))
-    kept = np.arctan2(dot(aside, second), dot(aside, first)) + scatter * generator.normal(0, TURN, n)
-    poses = Poses(positions, contacts, normals, np.where(is_loose, generator.uniform(0, 2 * np.pi, n), kept))
-    ranking, weights = RANKINGS[VALUED], values[None, 9 : 9 + RANKING_GENES[VALUED]]
-    scores = ranking.scores(poses.features, np.repeat(weights, n, axis=0))
-    order = np.argsort(-scores, kind="stable")
-    ranked, (threshold,) = poses[order], ranking.thresholds(weights)
-    ways_on = (ranked.outcomes >= Outcome.MISSED) & (scores[order] >= threshold)
-    if threshold == -np.inf:
-        return ranked[int(ways_on.argmax() if ways_on.any() else ranked.is_there.argmax())], n
-    return ranked[int(ways_on.argmax())], n if ways_on.any() else -n
+    kept = np.arctan2(dot(aside, second), dot(aside, first)) + scatter[:, 0] * TURN * (draws[:, 10] - 0.5)
+    poses = Poses(positions, contacts, normals, np.where(is_loose, 2 * np.pi * draws[:, 11], kept))
+    ranking, weights = RANKINGS[VALUED], values[:, 9 : 9 + RANKING_GENES[VALUED]]
+    scores, thresholds = ranking.scores(poses.features, weights[owners]), ranking.thresholds(weights)
+    takes_any = thresholds == -np.inf
+    is_good = (poses.outcomes >= Outcome.MISSED) & (scores >= thresholds[owners])
+    preference = 2 * is_good + (poses.is_there & takes_any[owners])
+    order = np.lexsort((-scores, -preference, owners))
+    best = order[np.unique(owners[order], return_index=True)[1]]
+    return poses[best], np.where(is_good[best] | takes_any, counts, -counts)
+
+
+def _draws(genome: np.ndarray, n: int) -> np.ndarray:
+    """Numbers (n, 12) from 0 to 1 that depend on the genome alone."""
+    return np.random.default_rng(np.frombuffer(genome.tobytes(), np.uint32)).random((n, 12))
 
 
 BOX = (np.full(3, -0.2), np.full(3, 0.2))

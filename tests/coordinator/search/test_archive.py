@@ -47,7 +47,7 @@ def quality(row: np.void) -> float:
     return float(row["fitness"]) if row["outcome"] >= Outcome.DROPPED else -1.0
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_it_holds_what_a_loop_over_rows_would_hold(seed: int) -> None:
     batches = [random_rows(10 * seed + number, 400) for number in range(4)]
     archive = EliteArchive(3, BOX)
@@ -59,13 +59,6 @@ def test_it_holds_what_a_loop_over_rows_would_hold(seed: int) -> None:
     successful = [row["outcome"] >= Outcome.DROPPED for row in expected.values()]
     assert elites.successful.tolist() == successful
     assert (len(archive), archive.elites.successful.sum()) == (len(expected), sum(successful))
-
-
-@pytest.mark.parametrize("outcome", [Outcome.ERROR, Outcome.DEAD_END, Outcome.OVERLAP])
-def test_what_was_not_simulated_is_not_kept(outcome: Outcome) -> None:
-    archive = EliteArchive(3, BOX)
-    archive.insert(rows([outcome], [[0.0, 0.0, 0.0]]))
-    assert len(archive) == 0
 
 
 def test_positions_outside_the_box_are_left_out() -> None:
