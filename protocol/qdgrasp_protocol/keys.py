@@ -89,8 +89,8 @@ class Keys:
     def stat(self, what: str = "**") -> str:
         """To monitors: `job`, `run/<run>` or `team/<page>`, JSON, about once a second.
 
-        The coordinator also answers queries on it, patterns too, with the present state; `curve/<run>` is
-        only answered, never sent. On `worker/<wid>` a worker publishes its own progress.
+        The coordinator also answers queries on it, patterns too, with the present state. On
+        `worker/<wid>` a worker publishes its own progress.
         """
         return f"{self.root}/stat/{what}"
 

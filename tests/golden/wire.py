@@ -19,7 +19,6 @@ from qdgrasp_coordinator.metrics.job_status import (
     WorkersPage,
     to_json,
 )
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.keys import AnyJob, Keys
 from qdgrasp_protocol.messages import Heartbeat
@@ -29,7 +28,6 @@ SHOWN = {
     "stat/job": JobStatus,
     "stat/run/<run>": RunStatus,
     "stat/team/<page>": WorkersPage,
-    "stat/curve/<run>": GrowthCurve,
     "event/<kind>": JobEvent,
     "event/recent": JobEvents,
     "meta": JobMeta,

@@ -37,7 +37,7 @@ class CurvePoint(Struct, frozen=True, array_like=True):
 
 
 class GrowthCurve(Struct, frozen=True, kw_only=True):
-    """Growth of a run's counts. JSON, the answer to a query on `stat/curve/<run>`."""
+    """Growth of a run's counts. JSON, with the answer on `rec/runs` about one run."""
 
     run: Annotated[str, "Its name in its job."]
     points: Annotated[

@@ -16,7 +16,7 @@ from msgspec import structs
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.metrics.job_status import JobStatus, RunListing, RunStatus
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter
+from qdgrasp_coordinator.metrics.run_stats import RunCounter
 from qdgrasp_coordinator.scheduler.batch_queue import RunRef
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_plan import (
@@ -66,11 +66,6 @@ class ActiveRun:
     def tally(self) -> RunCounter:
         """Counts of its journal's rows."""
         return self.pipeline.tally
-
-    @property
-    def curve(self) -> GrowthCurve:
-        """Growth of its counts."""
-        return self.tally.curve(self.name)
 
     @property
     def remaining(self) -> int:

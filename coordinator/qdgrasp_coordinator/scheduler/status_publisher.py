@@ -6,39 +6,30 @@ coordinator's one thread and read in threads of the bus.
 
 import os
 import socket
-import threading
 import time
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container
 from datetime import UTC, datetime
 from importlib.metadata import version
 
 from msgspec import Struct
 
 from qdgrasp_coordinator.metrics.job_status import JobEvent, JobMeta, to_json
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
 from qdgrasp_protocol.bus import Bus, Channel, Query
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys, last_chunk, matches
 
-CURVE_SECONDS = 0.5  # Seconds for which curves are cached, however many queries come
 STALE_SECONDS = 5.0  # Seconds without an update after which queries go unanswered
-
-CurveSource = Callable[[], Mapping[str, Struct]]  # Returns the curves by key; called in any thread
 
 
 class StatusCache:
-    """Latest published values by key, and curves that are made when asked for."""
+    """Latest published values by key."""
 
-    def __init__(self, curves: CurveSource, clock: Callable[[], float] = time.monotonic) -> None:
-        self._curves = curves
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._shown: dict[str, bytes] = {}  # read in other threads as a copy made at once
         self._filled_at = clock()
-        self._drawing = threading.Lock()
-        self._drawn: dict[str, bytes] = {}
-        self._drawn_until = 0.0
 
     def set(self, key: str, payload: bytes) -> None:
         """Store the value of a key."""
@@ -52,22 +43,13 @@ class StatusCache:
                 del self._shown[key]
 
     def answer(self, query: Query) -> dict[str, bytes]:
-        """Return the values whose keys match; curves only if the pattern has `/curve/` in it.
+        """Return the values whose keys match.
 
         Raises NoReply if nothing was shown for a while: the coordinator hangs.
         """
         if self._clock() > self._filled_at + STALE_SECONDS:
             raise NoReply(f"Nothing was shown for {STALE_SECONDS:g} s.")
-        known = self._shown.copy() | (self._draw() if "/curve/" in query.key else {})
-        return {key: payload for key, payload in known.items() if matches(query.key, key)}
-
-    def _draw(self) -> dict[str, bytes]:
-        """Return all curves, at most `CURVE_SECONDS` old."""
-        with self._drawing:
-            if self._clock() >= self._drawn_until:
-                self._drawn = {key: to_json(curve) for key, curve in self._curves().items()}
-                self._drawn_until = self._clock() + CURVE_SECONDS
-            return self._drawn
+        return {key: payload for key, payload in self._shown.copy().items() if matches(query.key, key)}
 
 
 STATUS_INTERVAL = 0.5  # seconds between two publications of the figures
@@ -81,7 +63,7 @@ class StatusPublisher:
     def __init__(
         self, bus: Bus, scheduler: JobScheduler, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.cache = StatusCache(self._curves, clock)  # Latest values, for late queries
+        self.cache = StatusCache(clock)  # Latest values, for late queries
         self.due = 0.0  # When figures are to be published again
         self._bus = bus
         self._scheduler = scheduler
@@ -165,10 +147,6 @@ class StatusPublisher:
             budget=extent.evaluations,
             identity=self._identity,
         )
-
-    def _curves(self) -> dict[str, GrowthCurve]:
-        """Return the curves of active runs by key; in any thread."""
-        return {self._keys.stat(f"curve/{run.name}"): run.curve for run in self._scheduler.runs}
 
     def _put(self, key: str, shown: Struct) -> None:
         """Publish a value and store it for late queries."""

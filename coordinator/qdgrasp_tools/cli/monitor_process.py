@@ -23,7 +23,7 @@ from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.cli.job_commands import SESSION_SECONDS, JobDir, JobPlace, open_session
 from qdgrasp_tools.cli.options import host_and_port
-from qdgrasp_tools.monitor.feed import Feed, ObjectFeed, query_jobs
+from qdgrasp_tools.monitor.feed import Feed, RecordFeed, query_jobs
 from qdgrasp_tools.monitor.job_model import JobView
 from qdgrasp_tools.monitor.records import BusRecords
 from qdgrasp_tools.monitor.terminal import ScreenState, intervals, local_time, report, watch_jobs
@@ -100,7 +100,7 @@ def monitor(
         elif as_json:
             stream_looks(feed, endpoint, stop)
         else:
-            watch_jobs(feed, ObjectFeed(BusRecords(bus).objects), endpoint, terminal_console(), stop)
+            watch_jobs(feed, RecordFeed(BusRecords(bus)), endpoint, terminal_console(), stop)
     raise typer.Exit(stop.exit_code)
 
 

@@ -6,14 +6,13 @@ clock, bus or thread: time is passed in, in seconds since 1970, and queries that
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from operator import itemgetter
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from msgspec import Struct, structs
 
 from qdgrasp_coordinator.metrics import job_status
 from qdgrasp_coordinator.metrics.job_status import JobEvent, JobMeta, JobStatus, RunStatus, WorkerStatus
-from qdgrasp_coordinator.metrics.run_stats import CURVE_POINTS, TOTAL_NAMES, CurvePoint, GrowthCurve
+from qdgrasp_coordinator.metrics.run_stats import TOTAL_NAMES
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of, last_chunk, matches
 
@@ -22,19 +21,15 @@ STEP = 1.0  # seconds between two points of a young series
 MIN_WINDOW = 10.0  # seconds over which a rate is taken at least
 WINDOW = 30.0  # seconds over which a rate is taken: results come generation by generation
 
-Point = TypeVar("Point")
-
 
 class Series(Struct, frozen=True, kw_only=True):
-    """Figures of a job or a run over time, in columns of one length, at most `MAX_POINTS`."""
+    """Figures of a job over time, in columns of one length, at most `MAX_POINTS`."""
 
     at: list[float]  # Seconds since 1970
-    evaluations: list[int]
     rate: list[float]  # Counted evaluations per second over the `WINDOW` before, replayed ones apart
+    evaluations: list[int]
     successes: list[int]
     cells: list[int]
-    robust: list[int]
-    workers: list[int]
 
     @property
     def latest_rate(self) -> float:
@@ -42,50 +37,34 @@ class Series(Struct, frozen=True, kw_only=True):
         return self.rate[-1] if self.rate else 0.0
 
 
-class ThinnedSamples(Generic[Point]):
-    """Points in order of a growing position, thinned by halving; both ends always stay.
+class SeriesBuilder:
+    """Builds a series from the figures of a job as they are published.
 
-    `position` gives the position of a point; at first points are at least `step` apart.
+    Points are thinned by halving; both ends always stay.
     """
 
-    def __init__(self, position: Callable[[Point], float], most: int, step: float = 0.0) -> None:
-        self._position = position
-        self._most = most
-        self._step = step
-        self.points: list[Point] = []
-
-    def add(self, point: Point) -> None:
-        """Append the newest point; one that lies before the last is left out."""
-        points, position = self.points, self._position
-        if points and position(point) < position(points[-1]):
-            return
-        is_near = len(points) > 1 and position(point) - position(points[-2]) < self._step
-        if is_near or (points and position(point) == position(points[-1])):
-            points.pop()
-        points.append(point)
-        if len(points) > self._most:
-            *kept, last = points
-            self.points = [*kept[::2], last]
-            self._step = 2 * (position(last) - position(kept[0])) / self._most
-
-
-class SeriesBuilder:
-    """Builds a series from the figures of a job or a run as they are published."""
-
     def __init__(self) -> None:
-        self._points: ThinnedSamples[tuple[Any, ...]] = ThinnedSamples(itemgetter(0), MAX_POINTS, STEP)
+        self._points: list[tuple[Any, ...]] = []
+        self._step = STEP
         self._recent: deque[tuple[float, float]] = deque(maxlen=MAX_POINTS)  # of a `WINDOW`: see `_rate`
 
-    def add(self, figures: RunStatus | JobStatus, at: float) -> None:
-        """Add the figures at a time [s since 1970]."""
-        rate, one = self._rate(figures.seconds, figures.rate * figures.seconds), figures
-        self._points.add((at, one.evaluations, rate, one.successes, one.cells, one.robust, one.workers))
+    def add(self, figures: JobStatus, at: float) -> None:
+        """Add the figures at a time [s since 1970]; a time before the last one's is left out."""
+        rate, points = self._rate(figures.seconds, figures.rate * figures.seconds), self._points
+        if points and at < points[-1][0]:
+            return
+        if len(points) > 1 and at - points[-2][0] < self._step:
+            points.pop()
+        points.append((at, rate, figures.evaluations, figures.successes, figures.cells))
+        if len(points) > MAX_POINTS:
+            *kept, last = points
+            self._points, self._step = [*kept[::2], last], 2 * (last[0] - kept[0][0]) / MAX_POINTS
 
     @property
     def series(self) -> Series:
         """The series so far; its columns have the order of a point's values."""
         names = Series.__struct_fields__
-        columns = [list(column) for column in zip(*self._points.points, strict=True)]
+        columns = [list(column) for column in zip(*self._points, strict=True)]
         return Series(**dict(zip(names, columns or [[] for _ in names], strict=True)))
 
     def _rate(self, seconds: float, fresh: float) -> float:
@@ -125,18 +104,11 @@ class JobView(Struct, frozen=True, kw_only=True):
     workers: list[WorkerStatus]  # Each once: on its way to another page one may stand on both
     events: list[JobEvent]  # The latest, eldest first
     history: Series  # Figures of the job during the watch
-    histories: dict[str, Series]  # The same of its runs, by their names
-    curves: dict[str, GrowthCurve]  # Curves of the runs from their beginnings on, by their names
 
     def foremost(self, most: int) -> list[RunStatus]:
-        """Return so many of its runs, in order; first left out are finished, then silent ones."""
-
-        def rank(number: int) -> tuple[bool, float, int]:
-            run = self.runs[number]
-            latest = self.histories[run.run].at[-1:] if run.run in self.histories else []
-            return not run.finished, max(latest, default=0.0), number
-
-        return [self.runs[number] for number in sorted(sorted(range(len(self.runs)), key=rank)[-most:])]
+        """Return so many of its runs, in order; first left out are finished, then elder ones."""
+        by_rank = sorted(range(len(self.runs)), key=lambda number: (not self.runs[number].finished, number))
+        return [self.runs[number] for number in sorted(by_rank[-most:])]
 
 
 def end_state(figures: JobStatus | None) -> str:
@@ -187,48 +159,6 @@ def continues_job(before: JobMeta, now: JobMeta) -> bool:
     return now.since == before.since or not now.epoch or now.epoch > before.epoch
 
 
-class RunModel:
-    """A run as its messages describe it; no count falls while it goes on."""
-
-    def __init__(self, figures: RunStatus) -> None:
-        self.figures = self._published = figures
-        self.history = SeriesBuilder()
-        self.received_at = 0.0
-        self._points = _curve_points()
-
-    def update(self, published: RunStatus, now: float, *, is_over: bool = False) -> None:
-        """Take new figures; while the run goes on, no count falls."""
-        is_last = is_over or published.finished
-        one = published if is_last else with_monotonic_counts(published, self.figures)
-        self.figures, self._published, self.received_at = one, published, now
-        self.history.add(one, now)
-        self._points.add(CurvePoint(one.evaluations, one.proposals, one.successes, one.cells, one.robust))
-
-    def end(self) -> None:
-        """Show the figures as they were published last: no coordinator goes on with it."""
-        self.figures = self._published
-
-    @property
-    def rank(self) -> tuple[bool, float]:
-        """Priority for being kept; the greatest is kept longest."""
-        return not self.figures.finished, self.received_at
-
-    def prepend(self, curve: GrowthCurve) -> None:
-        """Take the curve so far; points of later messages are added to it."""
-        later, self._points = self._points.points, _curve_points()
-        for point in [*curve.points, *later]:
-            self._points.add(point)
-
-    @property
-    def curve(self) -> GrowthCurve:
-        """Its growth over evaluations."""
-        return GrowthCurve(run=self.figures.run, points=list(self._points.points))
-
-
-def _curve_points() -> ThinnedSamples[CurvePoint]:
-    return ThinnedSamples(lambda point: point.evaluations, CURVE_POINTS)
-
-
 class JobModel:
     """One job; `receive` takes the messages of its coordinator, `view` shows the result."""
 
@@ -248,10 +178,10 @@ class JobModel:
 
     def _reset(self) -> None:
         self._floor: JobStatus | None = None  # counts do not fall below these
-        self._runs: dict[str, RunModel] = {}
+        self._runs: dict[str, RunStatus] = {}
+        self._runs_heard: dict[str, float] = {}  # times of their latest messages
         self._pages: dict[int, list[job_status.WorkerStatus]] = {}
         self._history = SeriesBuilder()
-        self._missing_curves: dict[str, float] = {}  # of runs not seen from their beginnings: when to query
 
     # Messages
 
@@ -287,7 +217,6 @@ class JobModel:
         yield keys.stat("job"), JobStatus, self._take_figures
         yield keys.stat(f"run/{last}"), RunStatus, self._take_run
         yield keys.stat(f"team/{last}"), job_status.WorkersPage, self._take_workers
-        yield keys.stat(f"curve/{last}"), GrowthCurve, self._take_curve
         yield keys.meta, JobMeta, self._take_meta
         yield keys.recent, job_status.JobEvents, self._take_events
         yield keys.event(last), JobEvent, self._take_event
@@ -304,27 +233,19 @@ class JobModel:
         self.is_readable = True
         if self._gone_at is not None and now > self._gone_at + LATE_MESSAGE_SECONDS:
             self._gone_at = None  # another coordinator starts, and has no token yet
-        is_over = bool(end_state(figures))
         self._published = figures
-        self._floor = self.figures = with_monotonic_counts(figures, None if is_over else self._floor)
+        self._floor = self.figures = with_monotonic_counts(
+            figures, None if end_state(figures) else self._floor
+        )
         self._history.add(self.figures, now)
-        for run in self._runs.values() if is_over else ():
-            run.end()
 
     def _take_run(self, figures: RunStatus, now: float) -> None:
-        if figures.run not in self._runs and figures.evaluations:
-            self._missing_curves[figures.run] = now
-        run = self._runs.setdefault(figures.run, RunModel(figures))
-        run.update(figures, now, is_over=bool(end_state(self._published)))
+        is_last = figures.finished or end_state(self._published)
+        before = None if is_last else self._runs.get(figures.run)
+        self._runs[figures.run], self._runs_heard[figures.run] = with_monotonic_counts(figures, before), now
         while len(self._runs) > MOST_RUNS:
-            dropped = min(self._runs, key=lambda run: self._runs[run].rank)
-            self._missing_curves.pop(dropped, None)
-            del self._runs[dropped]
-
-    def _take_curve(self, curve: GrowthCurve, now: float) -> None:
-        self._missing_curves.pop(curve.run, None)
-        if curve.run in self._runs:
-            self._runs[curve.run].prepend(curve)
+            dropped = min(self._runs, key=lambda run: (not self._runs[run].finished, self._runs_heard[run]))
+            del self._runs[dropped], self._runs_heard[dropped]
 
     def _take_workers(self, page: job_status.WorkersPage, now: float) -> None:
         pages = self._pages | {page.page: page.workers}
@@ -346,19 +267,6 @@ class JobModel:
         """True once enough is known to show it."""
         return self.meta is not None and self.figures is not None
 
-    def due_queries(self, now: float) -> list[str]:
-        """Return keys of missing curves: of runs not seen from their beginnings; with retries.
-
-        Runs that are over and silent jobs are left out: there is no coordinator to answer.
-        """
-        if now - self.received_at > SILENCE_SECONDS:
-            return []
-        is_over = {run for run in self._missing_curves if self._runs[run].figures.finished}
-        self._missing_curves = {run: at for run, at in self._missing_curves.items() if run not in is_over}
-        due = sorted(run for run, at in self._missing_curves.items() if at <= now)
-        self._missing_curves |= dict.fromkeys(due, now + RETRY_SECONDS)
-        return [self.keys.stat(f"curve/{run}") for run in (due if len(due) < 2 else "*")]
-
     def state(self, now: float, *, is_linked: bool = True) -> str:
         """Return the state of the job as `JobView` names it."""
         if self.figures and self._gone_at is None and now - self.received_at <= SILENCE_SECONDS:
@@ -379,12 +287,10 @@ class JobModel:
             silent=max(0.0, now - self.received_at),
             meta=self.meta,
             figures=self.figures,
-            runs=[run.figures for run in self._runs.values()],
+            runs=list(self._runs.values()),
             workers=list({each.wid: each for page in self._pages.values() for each in page}.values()),
             events=[self._events[key] for key in sorted(self._events)],
             history=self._history.series,
-            histories={name: run.history.series for name, run in self._runs.items()},
-            curves={name: run.curve for name, run in self._runs.items()},
         )
 
 
@@ -406,9 +312,8 @@ class JobModels:
                 self._due.setdefault(job.name, now)
 
     def receive_answers(self, values: Mapping[str, bytes], now: float) -> None:
-        """Take answers by their keys: identities of jobs first, curves after their runs."""
-        curve, meta = AnyJob().stat("curve/*"), AnyJob().meta
-        for key in sorted(values, key=lambda key: (not matches(meta, key), matches(curve, key))):
+        """Take answers by their keys, identities of jobs first."""
+        for key in sorted(values, key=lambda key: not matches(AnyJob().meta, key)):
             if job := self._job(key):
                 job.receive(key, values[key], now)
         known = {job.name for job in self._jobs.values() if job.is_known}
@@ -439,9 +344,7 @@ class JobModels:
         self._due = {name: at for name, at in self._due.items() if name not in due}
         self._due |= dict.fromkeys(unknown, now + RETRY_SECONDS)
         queried: list[Keys] = [self._keys] if ALL_KEYS in due else [Keys(name) for name in sorted(due)]
-        asked = [key for one in queried for key in (one.stat(), one.stat("curve/*"), one.meta, one.recent)]
-        curves = [key for job in self._jobs.values() for key in job.due_queries(now)]
-        return asked + [key for key in curves if not any(matches(pattern, key) for pattern in asked)]
+        return [key for one in queried for key in (one.stat(), one.meta, one.recent)]
 
     def views(self, now: float) -> list[JobView]:
         """Return the jobs of which enough is known, by their names."""

@@ -20,8 +20,8 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from qdgrasp_coordinator.metrics.job_status import JobStatus, ObjectListing, RunStatus
-from qdgrasp_coordinator.metrics.run_stats import CurvePoint
+from qdgrasp_coordinator.metrics.job_status import JobStatus, ObjectListing
+from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve
 from qdgrasp_protocol.text import counted, printable
 from qdgrasp_tools.monitor.job_model import OVER, JobView
 
@@ -183,16 +183,11 @@ def _runs(figures: JobStatus) -> str:
 
 def run_list(view: JobView, top: int = 0) -> Listing:
     """Return a job's runs: those in progress first, then the latest that ended."""
-
-    def speed(run: RunStatus) -> str:
-        is_known = not run.finished and run.run in view.histories
-        return rate_text(view.histories[run.run].latest_rate) if is_known else ""
-
     columns = (
         Column("run", lambda run: run.run, least=20),
         Column("evaluations", lambda run: count_text(run.evaluations), 1),
         Column("done", lambda run: percent_text(run.done, 1.0)),
-        Column("eval/s", speed, 5),
+        Column("eval/s", lambda run: rate_text(run.rate), 5),
         Column("cells", lambda run: count_text(run.cells)),
         Column("success", lambda run: percent_text(run.successes, run.evaluations), 4),
         Column("robust", lambda run: count_text(run.robust), 3),
@@ -383,12 +378,13 @@ def plot(places: Sequence[float], values: Sequence[float], width: int, height: i
 
 
 class CurveCharts(NamedTuple):
-    """The curves of a job side by side."""
+    """The curves of a job side by side; `curve` is that of a single run, if known."""
 
     view: JobView
+    curve: GrowthCurve | None = None
 
     def __rich_console__(self, _console: Console, options: ConsoleOptions) -> RenderResult:
-        curves = job_curves(self.view)
+        curves = job_curves(self.view, self.curve)
         grid = Table.grid(padding=(0, GAP, 0, 0))
         width = (options.max_width - GAP * (len(curves) - 1)) // len(curves)
         for _ in curves:
@@ -397,16 +393,17 @@ class CurveCharts(NamedTuple):
         yield grid
 
 
-def job_curves(view: JobView) -> list[Curve]:
+def job_curves(view: JobView, curve: GrowthCurve | None) -> list[Curve]:
     """Return the curves of a job: of a single run over evaluations, of several over time.
 
     Runs that are resumed one by one have fewer evaluations meanwhile, so several are drawn over time.
     """
-    history = view.history
+    history, now = view.history, view.figures
     ago = f"{span_text(history.at[-1] - history.at[0])} ago" if history.at else ""
-    curve = view.curves.get(view.runs[-1].run) if view.runs and view.figures.runs == 1 else None
     if curve:
-        begun = [CurvePoint(0, 0, 0, 0, 0), *curve.points]
+        points = [point for point in curve.points if point.evaluations < now.evaluations]
+        latest = CurvePoint(now.evaluations, now.proposals, now.successes, now.cells, now.robust)
+        begun = [CurvePoint(0, 0, 0, 0, 0), *points, latest]
         places: Sequence[float] = [point.evaluations for point in begun]
         cells, successes = [point.cells for point in begun], [point.successes for point in begun]
         ends = ("0", f"{count_text(places[-1])} evaluations")

@@ -23,11 +23,12 @@ from rich.table import Table
 from rich.text import Text
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListing, utc_now
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.text import printable
 from qdgrasp_tools.campaign.object_table import SORT_KEYS, select_objects
 from qdgrasp_tools.monitor import screen
-from qdgrasp_tools.monitor.feed import Feed, ObjectFeed, summary_lines
+from qdgrasp_tools.monitor.feed import Feed, RecordFeed, summary_lines
 from qdgrasp_tools.monitor.job_model import JobView, end_state
 from qdgrasp_tools.monitor.screen import Listing, text_line
 
@@ -121,6 +122,7 @@ class ScreenState:
     is_linked: bool = True  # False while the router cannot be reached
     foreign_jobs: Sequence[str] = ()  # Jobs of another version
     objects: Sequence[ObjectListing] | None = None  # Of the selected job; None: they are not known
+    curve: GrowthCurve | None = None  # Of the selected job's only run; None: it is not known
 
     @property
     def names(self) -> list[str]:
@@ -198,7 +200,9 @@ def screen_layout(shown: ScreenState, choice: ScreenSelection, width: int, heigh
         return Text(f"{MIN_SIZE[0]} columns, {MIN_SIZE[1]} lines", no_wrap=True)
     head, foot = shown.head, text_line(f"{choice.help:{width}}", "reverse")
     layout = Layout()
-    body = _body(shown, choice, width, height - len(head) - 1) if shown.views else [Layout(shown.advice)]
+    body = (
+        _body(shown, choice, width, height - len(head) - 1) if shown.views else [Layout(shown.advice or " ")]
+    )
     layout.split_column(Layout(Group(*head), size=len(head)), *body, Layout(foot, size=1))
     return layout
 
@@ -212,10 +216,10 @@ def _body(shown: ScreenState, choice: ScreenSelection, width: int, room: int) ->
     if choice.list:
         return [jobs, Layout(LISTS[choice.list](view, choice.top))]
     summary = Layout(screen.titled(view.job, screen.job_summary(view)), size=SUMMARY_ROWS)
-    return [jobs, summary, *_below(view, width, room - rows - SUMMARY_ROWS)]
+    return [jobs, summary, *_below(view, shown.curve, width, room - rows - SUMMARY_ROWS)]
 
 
-def _below(view: JobView, width: int, room: int) -> list[Layout]:
+def _below(view: JobView, curve: GrowthCurve | None, width: int, room: int) -> list[Layout]:
     """Return curves, runs, workers and events: the most important ones that have room.
 
     On a wide terminal runs and workers stand side by side.
@@ -223,7 +227,7 @@ def _below(view: JobView, width: int, room: int) -> list[Layout]:
     runs, workers, events = screen.run_list(view), screen.worker_list(view), screen.event_list(view)
     lists: dict[str, Listing] = {"runs": runs, "workers": workers, "events": events}
     lengths = {name: len(found.rows) + found.heads for name, found in lists.items()}
-    parts: dict[str, RenderableType] = {"curves": screen.CurveCharts(view), **lists}
+    parts: dict[str, RenderableType] = {"curves": screen.CurveCharts(view, curve), **lists}
     if view.figures.runs > 1 and width >= WIDE_COLUMNS:
         beside = Layout()
         beside.split_row(Layout(runs), Layout(workers))
@@ -240,7 +244,7 @@ def _below(view: JobView, width: int, room: int) -> list[Layout]:
             size=lengths.get(name) if fit else None,
         )
         for name in kept
-    ] or [Layout("")]
+    ] or [Layout(" ")]
 
 
 def _objects(shown: ScreenState, view: JobView, choice: ScreenSelection) -> RenderableType:
@@ -262,7 +266,6 @@ def report(shown: ScreenState) -> Group:
     parts = [*shown.head, shown.advice] if shown.advice else shown.head
     for view in shown.views:
         parts.append(screen.titled(f"{view.job}: {screen.state_text(view)}", screen.job_summary(view)))
-        parts += [screen.CurveCharts(view)] if view.figures.evaluations else []
         parts += [found for make in LISTS.values() if (found := make(view, 0)).rows]
     return Group(*parts)
 
@@ -316,10 +319,10 @@ DRAW_INTERVAL = 0.5  # seconds between two pictures
 PRINT_INTERVAL = 5.0  # seconds between two reports where nothing can be drawn
 
 
-def watch_jobs(feed: Feed, objects: ObjectFeed, endpoint: str, console: Console, stop: Stop) -> None:
+def watch_jobs(feed: Feed, records: RecordFeed, endpoint: str, console: Console, stop: Stop) -> None:
     """Show jobs until a key or a signal ends it."""
     if console.is_terminal and not console.is_dumb_terminal:
-        draw_screen(feed, objects, endpoint, console, stop)
+        draw_screen(feed, records, endpoint, console, stop)
         return
     feed.wait(DRAW_INTERVAL)
     for _ in intervals(PRINT_INTERVAL, stop):
@@ -327,7 +330,7 @@ def watch_jobs(feed: Feed, objects: ObjectFeed, endpoint: str, console: Console,
             console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def draw_screen(feed: Feed, objects: ObjectFeed, endpoint: str, console: Console, stop: Stop) -> None:
+def draw_screen(feed: Feed, records: RecordFeed, endpoint: str, console: Console, stop: Stop) -> None:
     """Draw the whole terminal twice a second, and after each key."""
     choice = ScreenSelection()
     live = Live(
@@ -336,9 +339,10 @@ def draw_screen(feed: Feed, objects: ObjectFeed, endpoint: str, console: Console
     with keyboard() as keys, live:
         while not stop.is_set:
             shown, (width, height) = screen_state(feed, endpoint), console.size
-            if choice.list == "objects" and shown.views:
+            if shown.views:
                 view = shown.views[choice.index(shown.names)]
-                shown = replace(shown, objects=objects.objects(view))
+                found = records.objects(view) if choice.list == "objects" else None
+                shown = replace(shown, objects=found, curve=None if choice.list else records.curve(view))
             live.update(screen_layout(shown, choice, width, height), refresh=True)
             for key in keys(DRAW_INTERVAL):
                 if key in QUIT_KEYS and not choice.is_typing:

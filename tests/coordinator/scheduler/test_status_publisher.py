@@ -22,7 +22,7 @@ from qdgrasp_coordinator.metrics.job_status import (
     WorkersPage,
     from_json,
 )
-from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve, RunCounter
+from qdgrasp_coordinator.metrics.run_stats import RunCounter
 from qdgrasp_coordinator.scheduler.status_publisher import (
     STALE_SECONDS,
     StatusCache,
@@ -36,15 +36,11 @@ ROOT = "qdgrasp/v1/mugs/stat"
 
 
 class Wall:
-    """A status cache with a clock that is set by hand, and the curve of one run."""
+    """A status cache with a clock that is set by hand."""
 
     def __init__(self) -> None:
         self.now = 100.0
-        self.points: list[CurvePoint] = []
-        self.cache = StatusCache(self.curves, lambda: self.now)
-
-    def curves(self) -> dict[str, GrowthCurve]:
-        return {f"{ROOT}/curve/a": GrowthCurve(run="a", points=self.points)}
+        self.cache = StatusCache(lambda: self.now)
 
     def asked(self, key: str) -> dict[str, bytes]:
         return self.cache.answer(Query(f"{ROOT}/{key}", "", b""))
@@ -169,21 +165,15 @@ def test_that_trouble_came_and_went_is_told(monkeypatch: pytest.MonkeyPatch) -> 
     assert heard.words("trouble") == ["There is no room.", "It goes on; this is over: There is no room."]
 
 
-def test_those_who_come_late_hear_what_happened_and_how_counts_grew() -> None:
+def test_those_who_come_late_hear_what_happened() -> None:
     job = Job({"run-0": LONG})
     with job.serving(), job.network.session() as bus, FakeWorker(job.network.session(), ANN).at_work():
-        wait_for(lambda: curve(bus, "run-0").points)
         wait_for(lambda: KEYS.stat("run/run-0") in bus.ask_all(KEYS.stat()))
         values = bus.ask_all(KEYS.stat())
         (recent,) = bus.ask_all(KEYS.recent).values()
-        everywhere = bus.ask_all("qdgrasp/v1/*/stat/curve/*")
     kinds = {key.removeprefix(KEYS.stat("")).split("/")[0] for key in values}
-    assert kinds == {"job", "run", "team"}, "curves are shown where they are asked for"
+    assert kinds == {"job", "run", "team"}
     assert "Run 'run-0' begins." in [event.words for event in from_json(recent, JobEvents).events]
-    assert set(everywhere) == {KEYS.stat("curve/run-0")}
-    first = curve_of(everywhere, "run-0").points[0]
-    assert first.evaluations == LONG.population
-    assert first.successes >= first.robust
 
 
 def test_a_worker_that_dies_is_shown_as_gone() -> None:
@@ -204,12 +194,3 @@ def states(heard: Heard) -> list[str]:
 
 def asked(bus: Bus, what: str) -> dict[str, bytes]:
     return bus.ask_all(KEYS.stat(what))
-
-
-def curve(bus: Bus, run: str) -> GrowthCurve:
-    return curve_of(asked(bus, f"curve/{run}"), run)
-
-
-def curve_of(values: dict[str, bytes], run: str) -> GrowthCurve:
-    payload = values.get(KEYS.stat(f"curve/{run}"))
-    return from_json(payload, GrowthCurve) if payload else GrowthCurve(run=run, points=[])

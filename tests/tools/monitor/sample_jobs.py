@@ -7,7 +7,6 @@ from msgspec import Struct
 
 from qdgrasp_coordinator.metrics import job_status
 from qdgrasp_coordinator.metrics.job_status import JobEvent, JobStatus, WorkersPage, WorkerStatus, to_json
-from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
@@ -50,10 +49,6 @@ def worker(number: int, **more: object) -> WorkerStatus:
 def event(number: int, words: str = "Something happened.", **more: object) -> JobEvent:
     at = NOON.replace(minute=number // 60, second=number % 60)
     return JobEvent(**({"number": number, "at": at, "kind": "job", "words": words} | more))
-
-
-def curve(name: str, *evaluations: int) -> GrowthCurve:
-    return GrowthCurve(run=name, points=[CurvePoint(n, 4 * n, n // 2, n // 10, n // 4) for n in evaluations])
 
 
 def team(*workers: WorkerStatus) -> list[WorkersPage]:
@@ -137,10 +132,6 @@ def job(
         for one in names[: 2 if runs > 1 else 1]:
             send(f"stat/run/{one}", run(one, **counts))
     send("meta", meta(name, runs))
-    for one in names[:1]:
-        points = [CurvePoint(n, 4 * n, n // 9, n // 50, n // 30) for n in range(0, 83 * seconds, 83)]
-        grown = to_json(GrowthCurve(run=one, points=points))
-        jobs.receive_answers({keys.stat(f"curve/{one}"): grown}, 1000.0 + seconds)
     for page in team(*workers):
         send(f"stat/team/{page.page}", page)
     for one in events or [event(n, f"Worker {n} joined.", kind="worker") for n in range(20)]:

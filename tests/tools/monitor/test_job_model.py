@@ -8,7 +8,6 @@ from tests.tools.monitor.sample_jobs import (
     MUGS,
     NOON,
     START,
-    curve,
     event,
     figures,
     meta,
@@ -24,7 +23,7 @@ from tests.tools.monitor.sample_jobs import (
 from qdgrasp_coordinator.metrics.job_status import JobEvents, to_json
 from qdgrasp_protocol.keys import AnyJob
 from qdgrasp_tools.monitor import job_model
-from qdgrasp_tools.monitor.job_model import JobModels, JobView
+from qdgrasp_tools.monitor.job_model import MAX_POINTS, WINDOW, JobModels, JobView, SeriesBuilder
 
 
 @pytest.fixture
@@ -33,15 +32,12 @@ def jobs() -> JobModels:
 
 
 def test_whoever_comes_late_sees_all_that_coordinators_answer() -> None:
-    more = {MUGS.stat("curve/a"): curve("a", 2, 5, 9), MUGS.recent: JobEvents(events=[event(1), event(2)])}
-    answers = values(workers=130) | {key: to_json(value) for key, value in more.items()}
+    answers = values(workers=130) | {MUGS.recent: to_json(JobEvents(events=[event(1), event(2)]))}
     view = view_of(watching(answers=answers), START)
     assert (view.job, view.state, view.meta.epoch, view.figures.evaluations) == ("mugs", "running", 2, 1000)
     assert [one.run for one in view.runs] == ["a", "b"]
     assert len({one.wid for one in view.workers}) == len(view.workers) == 130
     assert [one.number for one in view.events] == [1, 2]
-    assert [point.evaluations for point in view.curves["a"].points] == [2, 5, 9, 10]
-    assert [point.evaluations for point in view.curves["b"].points] == [10]
 
 
 def test_what_is_heard_takes_the_place_of_what_was_heard_before(jobs: JobModels) -> None:
@@ -54,8 +50,6 @@ def test_what_is_heard_takes_the_place_of_what_was_heard_before(jobs: JobModels)
     assert view.figures.evaluations == 1004
     assert [one.evaluations for one in view.runs] == [14, 10]
     assert view.history.evaluations == [1000, 1001, 1002, 1003, 1004]
-    assert view.histories["a"].cells == [0, 1, 2, 3, 4]
-    assert [point.cells for point in view.curves["a"].points] == [0, 1, 2, 3, 4]
 
 
 def test_pages_of_a_team_that_are_no_more_are_forgotten() -> None:
@@ -100,7 +94,6 @@ def test_no_count_falls_where_one_goes_on() -> None:
         counts = {view.figures.evaluations, view.figures.cells, one.evaluations, one.cells}
         assert counts | {one.outcomes["held"]} == {shown}
     assert view.history.evaluations == [500, 500, 500, 501]
-    assert view.histories["a"].successes == [500, 500, 500, 501]
 
 
 def test_another_job_of_the_same_name_begins_with_nothing_of_the_old_one(jobs: JobModels) -> None:
@@ -108,15 +101,14 @@ def test_another_job_of_the_same_name_begins_with_nothing_of_the_old_one(jobs: J
     publish(jobs, START + 2, stat_job=figures(evaluations=2000))
     begins(jobs, START + 60, 0)  # whose work it goes on with it does not know yet
     publish(jobs, START + 60, stat_job=figures(evaluations=0, state="starting"))
-    assert "old" in view_of(jobs, START + 60).curves
+    assert "old" in [one.run for one in view_of(jobs, START + 60).runs]
     jobs.receive(MUGS.event("job"), to_json(event(60)), START + 60)
     begins(jobs, START + 60, 1)
     view = view_of(jobs, START + 60)
-    assert (view.runs, view.curves, view.workers, view.history.at) == ([], {}, [], [])
+    assert (view.runs, view.workers, view.history.at) == ([], [], [])
     assert (view.figures.evaluations, [one.number for one in view.events]) == (0, [60])
     publish(jobs, START + 61, stat_job=figures(evaluations=3), stat_run_a=run("a", evaluations=3))
-    view = view_of(jobs, START + 61)
-    assert (view.history.evaluations, [point.evaluations for point in view.curves["a"].points]) == ([3], [3])
+    assert view_of(jobs, START + 61).history.evaluations == [3]
 
 
 @pytest.mark.parametrize("last", [{"runs_done": 3}, {"state": "cancelled"}])
@@ -126,9 +118,8 @@ def test_what_is_over_is_shown_as_it_is(jobs: JobModels, last: dict[str, object]
     publish(jobs, START + 20, stat_run_a=run("a", cells=40), stat_job=figures(cells=4))
     assert (view_of(jobs, START + 20).runs[0].cells, view_of(jobs, START + 20).figures.cells) == (50, 5)
     publish(jobs, START + 21, stat_job=figures(cells=4, **last))
-    assert (view_of(jobs, START + 21).runs[0].cells, view_of(jobs, START + 21).figures.cells) == (40, 4)
     publish(jobs, START + 21, stat_run_a=run("a", cells=39))
-    assert view_of(jobs, START + 21).runs[0].cells == 39
+    assert (view_of(jobs, START + 21).runs[0].cells, view_of(jobs, START + 21).figures.cells) == (39, 4)
 
 
 def test_when_the_router_is_back_everything_is_asked_and_nothing_while_it_is_away(jobs: JobModels) -> None:
@@ -137,22 +128,6 @@ def test_when_the_router_is_back_everything_is_asked_and_nothing_while_it_is_awa
     assert jobs.due_queries(START + 1) == []
     jobs.link_changed(True, START + 2)
     assert AnyJob().meta in jobs.due_queries(START + 2)
-
-
-def test_the_curve_of_a_run_that_was_not_seen_from_its_beginning_on_is_asked_for_until_it_comes() -> None:
-    jobs = JobModels()
-    jobs.due_queries(START)
-    jobs.receive_answers({MUGS.meta: to_json(meta()), MUGS.stat("job"): to_json(figures())}, START)
-    publish(jobs, START, stat_run_new=run("new", evaluations=0))
-    publish(jobs, START, stat_run_resumed=run("resumed", evaluations=70))
-    asked = [MUGS.stat("curve/resumed")]
-    assert jobs.due_queries(START) == asked
-    jobs.receive_answers({}, START + 1)  # it did not come in time
-    publish(jobs, START + job_model.RETRY_SECONDS, stat_job=figures())
-    assert (jobs.due_queries(START + 1), jobs.due_queries(START + job_model.RETRY_SECONDS)) == ([], asked)
-    jobs.receive_answers({MUGS.stat("curve/resumed"): to_json(curve("resumed", 5, 70))}, START + 6)
-    publish(jobs, START + 60, stat_job=figures())
-    assert jobs.due_queries(START + 60) == []
 
 
 def test_a_coordinator_that_says_nothing_is_silent_and_is_heard_again(jobs: JobModels) -> None:
@@ -197,3 +172,41 @@ def test_a_job_of_another_version_is_named_until_it_can_be_read() -> None:
     assert (jobs.views(START), jobs.foreign_jobs) == ([], ["mugs"])
     jobs.receive_answers(values(), START)
     assert (len(jobs.views(START)), jobs.foreign_jobs) == (1, [])
+
+
+def test_the_columns_of_a_history_are_of_one_length_and_bounded() -> None:
+    history = SeriesBuilder()
+    for second in range(3 * MAX_POINTS):
+        history.add(figures(evaluations=second, seconds=float(second)), float(second))
+    series = history.series
+    assert {len(getattr(series, name)) for name in series.__struct_fields__} == {len(series.at)}
+    assert len(series.at) <= MAX_POINTS
+    assert (series.at[0], series.at[-1]) == (0.0, 3.0 * MAX_POINTS - 1)
+    gaps = [after - before for before, after in zip(series.at, series.at[1:], strict=False)]
+    assert max(gaps) <= 4 * 3
+    assert series.evaluations[-1] == 3 * MAX_POINTS - 1
+
+
+def rates(*fresh_by_second: float) -> list[float]:
+    """The rates of a coordinator that has evaluated so much by each second."""
+    history = SeriesBuilder()
+    for second, fresh in enumerate(fresh_by_second):
+        rate = fresh / second if second else 0.0
+        history.add(figures(seconds=float(second), rate=rate), 1000.0 + second)
+    return history.series.rate
+
+
+def test_a_rate_is_of_the_window_before_it() -> None:
+    fast = [990.0 + 50.0 * second for second in range(1, 101)]
+    found = rates(*(10.0 * second for second in range(100)), *fast)
+    assert found[50] == pytest.approx(10.0)
+    assert found[99 + round(WINDOW)] == pytest.approx(50.0)
+    assert 10.0 < found[110] < 50.0
+
+
+def test_a_coordinator_that_begins_to_count_anew_makes_no_rate_negative_or_huge() -> None:
+    history = SeriesBuilder()
+    for second in range(120):
+        history.add(figures(seconds=float(second % 60), rate=10.0), 1000.0 + second)
+    assert max(history.series.rate) == pytest.approx(10.0)
+    assert min(history.series.rate) >= 0.0

@@ -1,7 +1,7 @@
 """Routes of the two pages: jobs that a monitor watches, and jobs in folders.
 
 The state of all jobs is encoded at most twice a second, for all browsers together, and sent as server-sent
-events. Curves are sent on request.
+events. Its history is sent on request.
 """
 
 import asyncio
@@ -89,7 +89,6 @@ class JobState(Struct, frozen=True, kw_only=True):
     meta: JobMeta
     figures: JobStatus
     runs: list[RunStatus]  # In progress, or ended during the watch; at most `MOST_RUNS`
-    speeds: dict[str, float]  # Speeds of the runs, by their names
     lefts: dict[str, str]  # Time left of the runs
     team: WorkersState
     events: list[JobEvent]
@@ -108,7 +107,6 @@ class JobState(Struct, frozen=True, kw_only=True):
             meta=view.meta,
             figures=view.figures,
             runs=runs,
-            speeds={one.run: view.histories[one.run].latest_rate for one in runs},
             lefts={one.run: one.left for one in runs},
             team=WorkersState.of(view.workers),
             events=view.events,
@@ -135,14 +133,12 @@ class PageState:
                 self._encoded_at = time.monotonic()
             return self._text
 
-    def curves(self, job: str) -> bytes:
-        """Return the figures of a job and its runs over time as JSON, or raise `UnknownName`."""
+    def history(self, job: str) -> bytes:
+        """Return the figures of a job over time as JSON, or raise `UnknownName`."""
         views = {view.job: view for view in self.views()}
         if job not in views:
             raise UnknownName("job", job, views)
-        view = views[job]
-        series = {"history": view.history, "histories": view.histories}
-        return msgspec.json.encode({**series, "curves": view.curves})
+        return msgspec.json.encode(views[job].history)
 
     def views(self) -> list[JobView]:
         """Return the jobs as they are now."""
@@ -206,7 +202,7 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
         Route("/", lambda _: HTMLResponse(html("index"))),
         Route("/api/state", lambda _: _json(state.state())),
         Route("/api/stream", stream),
-        Route("/api/jobs/{job}/curves", lambda request: _json(state.curves(request.path_params["job"]))),
+        Route("/api/jobs/{job}/history", lambda request: _json(state.history(request.path_params["job"]))),
         _slow("/api/jobs/{job}/runs", lambda request: caches.runs(request.path_params["job"]), limiter),
         Route("/api/jobs/{job}/objects", objects),
         _slow("/api/jobs/{job}/objects/runs", object_runs, limiter),

@@ -59,10 +59,8 @@ def test_the_state_tells_what_is_known_of_all_jobs(feed: FakeFeed) -> None:
     assert jobs["hands"]["team"]["states"] == {"working": 4}
 
 
-def test_the_curves_lead_to_what_the_state_tells(feed: FakeFeed) -> None:
-    curves = client(feed).get("/api/jobs/mug/curves").json()
-    assert curves["history"]["evaluations"][-1] == 3 * STEP
-    assert curves["curves"]["mug"]["points"][-1][0] == 3 * STEP
+def test_the_history_leads_to_what_the_state_tells(feed: FakeFeed) -> None:
+    assert client(feed).get("/api/jobs/mug/history").json()["evaluations"][-1] == 3 * STEP
 
 
 def test_metrics_are_what_prometheus_reads(feed: FakeFeed) -> None:
@@ -76,7 +74,7 @@ def test_metrics_are_what_prometheus_reads(feed: FakeFeed) -> None:
 @pytest.mark.parametrize(
     ("page", "status", "words"),
     [
-        ("/api/jobs/mags/curves", 404, "Unknown job 'mags'. Known: hands, mug."),
+        ("/api/jobs/mags/history", 404, "Unknown job 'mags'. Known: hands, mug."),
         ("/api/jobs/mug/runs/other/scene", 404, "Unknown run 'other'"),
         ("/api/jobs/hands/runs", 503, "nobody answers"),
     ],
@@ -179,7 +177,7 @@ def test_a_port_in_use_is_an_error_that_says_so() -> None:
 COOKIE = "qdgrasp-monitor-8080"
 TOKEN = "a-token-of-some-length"  # noqa: S105 - it opens nothing
 LOCKED = Access(local=False, token=TOKEN)
-PATHS = ("/", "/api/state", "/metrics", "/static/app.js", "/api/jobs/mug/curves", "/nowhere")
+PATHS = ("/", "/api/state", "/metrics", "/static/app.js", "/api/jobs/mug/history", "/nowhere")
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1:8080", "[::1]:8080", "LOCALHOST:80", "127.8.0.1"])

@@ -2,7 +2,7 @@
 
 import { element, setAttribute, setText, updateChildren } from "./dom.js";
 import { count, rate, short, time } from "./format.js";
-import { fetchJson, RecordedCurves } from "./run_queries.js";
+import { RecordedCurves } from "./run_queries.js";
 
 /** A uPlot in the page's colours, with a legend in words that shows the values under the cursor. */
 class Plot {
@@ -135,7 +135,6 @@ function legendEntry({ name, colour, dash }) {
   return element("div", {}, element("i", { class: `line ${colour}${dash ? " dashed" : ""}` }), element("dt", {}, name), element("dd"));
 }
 
-const SECONDS = 5; // between two queries for curves
 const MOST_LINES = 32; // runs that are drawn side by side
 const MOST_NAMED = 6; // of these with a colour each, as the style sheet has them
 const CELLS = [{ name: "Cells", colour: "accent", width: 2, fill: "wash" }];
@@ -148,54 +147,27 @@ const SPEED = [{ name: "Evaluations/s", colour: "accent", fill: "wash" }];
 /** The panels of curves. Earlier points are queried now and then; the newest one is in the state. */
 export class CurvePanels {
   constructor(find, api) {
-    this.api = api;
     const plot = (name, looks) => new Plot(find(name), find(`${name}-legend`), looks);
     this.cells = plot("cells");
     this.successes = plot("successes");
     this.speed = plot("speed", { timed: true, up: speed, whole: false });
     this.recorded = new RecordedCurves(api);
-    this.job = "";
-    this.asked = -Infinity;
-    this.curves = null;
   }
 
   show(job, run, now) {
-    this.#query(job.job);
-    const curves = this.job === job.job && this.curves;
-    if (!curves) return;
-    this.#drawFound(job, run ?? (job.figures.runs < 2 ? job.runs[0] : null), curves);
-    this.#drawSpeed(job, run, curves, now);
+    const one = run ?? (job.figures.runs < 2 ? job.runs[0] : null);
+    const runs = one ? [one] : job.runs.slice(-MOST_LINES);
+    const tables = runs.map((each) => runColumns(this.recorded.of(job.job, each)?.points ?? [], each));
+    const [done, cells, successes, robust] = one ? tables[0] : [];
+    this.cells.show(...(one ? [CELLS, [done, cells]] : manyLines("Cells", runs, tables, 1)));
+    this.successes.show(...(one ? [SUCCESSES, [done, successes, robust]] : manyLines("Successes", runs, tables, 2)));
+    this.#drawSpeed(job, now);
   }
 
-  async #query(job) {
-    const changed = this.job !== job;
-    if (!changed && performance.now() < this.asked + 1000 * SECONDS) return;
-    if (changed) this.curves = null;
-    this.job = job;
-    this.asked = performance.now();
-    const curves = await fetchJson(`${this.api}/jobs/${encodeURIComponent(job)}/curves`);
-    if (curves && this.job === job) this.curves = curves;
-  }
-
-  #drawFound(job, run, { curves }) {
-    const runs = run ? [run] : job.runs.slice(-MOST_LINES);
-    const tables = runs.map((one) => runColumns(this.#points(job, one, curves), one));
-    const [done, cells, successes, robust] = run ? tables[0] : [];
-    this.cells.show(...(run ? [CELLS, [done, cells]] : manyLines("Cells", runs, tables, 1)));
-    this.successes.show(...(run ? [SUCCESSES, [done, successes, robust]] : manyLines("Successes", runs, tables, 2)));
-  }
-
-  /** The points that the monitor has received; the recorded ones of a run that was over before. */
-  #points(job, { run, finished }, curves) {
-    const received = curves[run]?.points ?? [];
-    return finished && received.length < 2 ? this.recorded.of(job.job, run) : received;
-  }
-
-  #drawSpeed(job, run, { history, histories }, now) {
-    const { at, rate: speeds } = run ? (histories[run.run] ?? { at: [], rate: [] }) : history;
-    const latest = run ? job.speeds[run.run] : job.speed;
-    const runsOn = job.state === "running" && !run?.finished && now > (at.at(-1) ?? 0);
-    this.speed.show(SPEED, runsOn ? [[...at, now], [...speeds, latest]] : [at, speeds]);
+  #drawSpeed(job, now) {
+    const { at, rate: speeds } = this.recorded.history(job.job) ?? { at: [], rate: [] };
+    const runsOn = job.state === "running" && now > (at.at(-1) ?? 0);
+    this.speed.show(SPEED, runsOn ? [[...at, now], [...speeds, job.speed]] : [at, speeds]);
   }
 }
 

@@ -59,7 +59,7 @@ export class SummaryPanel {
   }
 
   #figures(job, run, subject) {
-    const speed = isOver(job, run) || job.state === "silent" ? 0 : run ? job.speeds[run.run] : job.speed;
+    const speed = isOver(job, run) || job.state === "silent" ? 0 : run ? run.rate : job.speed;
     const share = (number) => `${percent(number, subject.evaluations)} of all`;
     const figures = [
       ["Evaluations/s", rate(speed ?? 0), `${rate(subject.rate ?? 0)} on average`],

@@ -1,4 +1,4 @@
-// Queries for what only the recorder knows: runs that ended before the monitor started, and their curves.
+// Queries for what only the recorder knows: runs that ended before the monitor started, and curves.
 
 /** The JSON at an address; null where there is no answer: the connection's status shows that the monitor is away. */
 export async function fetchJson(address) {
@@ -11,6 +11,7 @@ export async function fetchJson(address) {
 }
 
 const SECONDS = 15; // between two queries for the same
+const CURVE_SECONDS = 5; // between two queries for the same curve
 const MOST = 64; // curves that are kept
 export const MANY = 256; // runs of a job: of more, those that have ended are shown object by object
 
@@ -51,27 +52,34 @@ export class RecordedRuns {
   }
 }
 
-/** Curves of runs that were over before the monitor started. */
+/** Curves of runs from their beginnings, and of jobs while the monitor watched. */
 export class RecordedCurves {
-  #known = new Map(); // of each run, by its address: { asked, points }
+  #known = new Map(); // of each address: { asked, answer }
 
   constructor(api) {
     this.api = api;
   }
 
-  /** The points of a run's curve; empty until the answer comes, and where there is none. */
-  of(job, run) {
-    const address = `${this.api}/jobs/${encodeURIComponent(job)}/runs/${encodeURIComponent(run)}/curve`;
-    this.#query(address);
-    return this.#known.get(address).points;
+  /** The curve of a run; null until the answer comes, and where there is none. */
+  of(job, { run, finished }) {
+    const known = this.#latest(`${this.api}/jobs/${encodeURIComponent(job)}/runs/${encodeURIComponent(run)}/curve`, finished ? Infinity : CURVE_SECONDS);
+    return known?.points.length ? known : null;
   }
 
-  async #query(address) {
-    const known = this.#known.get(address);
-    if (known && (known.points.length || performance.now() < known.asked + 1000 * SECONDS)) return;
-    const curve = { asked: performance.now(), points: [] };
-    this.#known.set(address, curve);
-    if (this.#known.size > MOST) this.#known.delete(this.#known.keys().next().value);
-    curve.points = (await fetchJson(address))?.points ?? [];
+  /** Figures of a job over time; null until the answer comes. */
+  history(job) {
+    return this.#latest(`${this.api}/jobs/${encodeURIComponent(job)}/history`, CURVE_SECONDS);
+  }
+
+  /** The last answer at an address, which is asked for anew after so many seconds, or where there was none. */
+  #latest(address, seconds) {
+    const known = this.#known.get(address) ?? { asked: -Infinity, answer: null };
+    if (performance.now() > known.asked + 1000 * (known.answer ? seconds : CURVE_SECONDS)) {
+      known.asked = performance.now();
+      this.#known.set(address, known);
+      if (this.#known.size > MOST) this.#known.delete(this.#known.keys().next().value);
+      fetchJson(address).then((answer) => (known.answer = answer ?? known.answer));
+    }
+    return known.answer;
   }
 }
