@@ -1,19 +1,20 @@
-"""Queries read journals that changed, and no others."""
+"""Queries about recorded runs, from their journals."""
 
+import itertools
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from msgspec.structs import asdict
+from msgspec import structs
 from tests.coordinator.recorded_campaigns import BUDGET, record_campaign, rows_of
-from tests.coordinator.recorded_runs import random_rows, record, record_spec, spoil_block, write_journal
+from tests.coordinator.recorded_runs import random_rows, record_spec, spoil_block, write_journal
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make_rows, recording
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListings, from_json
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage import success_pages
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import bundle_transfer, messages
 from qdgrasp_protocol.errors import Refused
@@ -22,59 +23,50 @@ from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.monitor import queries
-from qdgrasp_tools.monitor.queries import ObjectIndex, RunIndex
+from qdgrasp_tools.monitor.queries import RunIndex
+
+HERE = RunSpec(gripper="jaw", object="block.stl", population=10, evaluations=300)
 
 
 @pytest.fixture
-def folder(tmp_path: Path, make_scene) -> RunFolder:
-    return record(tmp_path / "mug", make_scene(), random_rows(300))
-
-
-@pytest.fixture
-def campaign(tmp_path: Path, make_scene) -> Path:
+def campaign(tmp_path: Path) -> Path:
     """The folder of a job with two runs: one that is over, and one that is not."""
     job = JobFolder.create(tmp_path / "job", "mugs")
     for name, budget in {"a": 300, "b": 1000}.items():
-        alone = record(tmp_path / name, make_scene(), random_rows(300), evaluations=budget)
+        spec = structs.replace(HERE, evaluations=budget)
+        alone = record_spec(tmp_path / name, spec, random_rows(300), block=100)
         alone.path.rename(job.run_path(name))
         (job.run_path(name) / "job.json").unlink()
     return job.path
 
 
 @pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    """Folders whose journals were opened."""
-    seen: list[Path] = []
-    open_journal = Journal.open
-
-    def noting(path: Path) -> Journal:
-        seen.append(path)
-        return open_journal(path)
-
-    monkeypatch.setattr(Journal, "open", noting)
-    return seen
+def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock on which a second goes by between two looks."""
+    seconds = itertools.count()
+    monkeypatch.setattr(queries, "time", SimpleNamespace(monotonic=lambda: float(next(seconds))))
 
 
-def test_what_is_counted_in_part_is_counted_on(folder, monkeypatch) -> None:
-    monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 100)
-    counted = RunIndex(folder.path)
+@pytest.mark.usefixtures("ticking")
+def test_what_is_counted_in_part_is_counted_on(tmp_path: Path) -> None:
+    counted = RunIndex(record_spec(tmp_path / "mug", HERE, random_rows(300), block=100).path)
     assert [counted.page(0).uncounted for _ in range(5)] == [1, 1, 0, 0, 0]
 
 
 def test_a_journal_that_is_damaged_behind_its_beginning_is_left_out_of_every_answer(tmp_path: Path) -> None:
     rows = random_rows(300)
-    made = record_spec(tmp_path / "mug", RunSpec(gripper="jaw", object="block.stl"), rows, block=100)
+    made = record_spec(tmp_path / "mug", HERE, rows, block=100)
     spoil_block(made.path / "run.sqlite", 200)
     counted = RunIndex(made.path)
     assert [counted.page(0).runs for _ in range(3)] == [[]] * 3
 
 
+@pytest.mark.usefixtures("ticking")
 @pytest.mark.parametrize("run", ["a", "b"])
-def test_how_a_run_grew_is_known_as_far_as_it_is_counted_and_when_it_is_over(campaign, run, monkeypatch):
-    monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 120)
+def test_how_a_run_grew_is_known_as_far_as_it_is_counted_and_when_it_is_over(campaign: Path, run: str):
     counted = RunIndex(campaign)
     ends = [[point.evaluations for point in counted.one(run).curve.points] for _ in range(4)]
-    assert ends == [list(range(10, stop + 1, 10)) for stop in (120, 240, 300, 300)]
+    assert ends == [list(range(10, stop + 1, 10)) for stop in (100, 200, 300, 300)]
 
 
 KEYS = Keys(JOB)
@@ -133,21 +125,15 @@ def test_entries_count_what_is_recorded_of_each_run(network, coordinator, path) 
     with RunFolder(path / "runs" / "a").journal() as journal:
         counted = queries.RunIndex(path).page(0).runs[0]
         assert (journal.count, later.rows) == (400, 400)
-    assert asdict(later) == asdict(counted)
+    assert structs.asdict(later) == structs.asdict(counted)
 
 
-def test_runs_are_counted_a_few_rows_at_a_time_and_left_out_until_they_are(
-    network: MemoryNetwork, coordinator: FakeCoordinator, path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(queries, "ROWS_PER_ANSWER", 150)
-    with recording(network, path):
-        coordinator.open_runs("a", "b")
-        for run in ("a", "b"):
-            coordinator.send(ROWS, 0, 200, run=run)
-            coordinator.hears_durable(200, run)
-        told = [entries(network) for _ in range(3)]
-    assert [(len(one.runs), one.uncounted) for one in told] == [(0, 2), (1, 1), (2, 0)]
-    assert [run.rows for run in told[-1].runs] == [200, 200]
+@pytest.mark.usefixtures("ticking")
+def test_runs_are_left_out_until_there_was_time_to_count_them(campaign: Path, monkeypatch) -> None:
+    monkeypatch.setattr(queries, "COUNTING_SECONDS", 4.0)
+    counted = RunIndex(campaign)
+    told = [counted.page(0) for _ in range(2)]
+    assert [([run.rows for run in one.runs], one.uncounted) for one in told] == [([300], 1), ([300, 300], 0)]
 
 
 def test_many_runs_come_in_pages(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,12 +175,6 @@ def test_what_cannot_be_shown_is_refused_with_the_reason(network, coordinator, p
             bus.ask(KEYS.finds, parameters=parameters)
 
 
-def object_index(job: JobFolder, monkeypatch: pytest.MonkeyPatch) -> ObjectIndex:
-    """An index that makes every answer anew."""
-    monkeypatch.setattr(queries, "LISTED_SECONDS", 0.0)
-    return ObjectIndex(job.path, RunIndex(job.path))
-
-
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> JobFolder:
     """A campaign over four objects, three of which have begun, the third not to its end."""
@@ -202,7 +182,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> JobFolder:
 
 
 def test_objects_are_those_of_the_campaign_with_what_their_runs_got(library: JobFolder) -> None:
-    found = ObjectIndex(library.path, RunIndex(library.path)).page(0)
+    found = RunIndex(library.path).objects(0)
     assert (len(found.objects), found.next, found.uncounted) == (7, 0, 0)
     first, _, third, fourth, *skipped = found.objects
     assert (first.object, first.category, first.state, first.runs_done) == ("part_00000", "mug", "done", 2)
@@ -213,25 +193,23 @@ def test_objects_are_those_of_the_campaign_with_what_their_runs_got(library: Job
     assert [each.state for each in skipped] == ["skipped"] * 3
 
 
-def test_finished_runs_are_read_once_and_what_comes_is_added(tmp_path, opened, monkeypatch) -> None:
+def test_what_comes_is_added_to_the_objects(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(queries, "LISTED_SECONDS", 0.0)
     job = record_campaign(tmp_path / "parts", 2, begun=0.5, hands=("panda",))
-    index = object_index(job, monkeypatch)
-    assert [each.state for each in index.page(0).objects[:2]] == ["running", "waiting"]
+    index = RunIndex(job.path)
+    assert [each.state for each in index.objects(0).objects[:2]] == ["running", "waiting"]
     (path,) = job.run_paths
     spec = RunFolder(path).spec
     (path / "run.sqlite").unlink()
     write_journal(path, spec, rows_of("good"), RunFolder(path).bundle(), run=path.name)
-    assert index.page(0).objects[0].state == "done"
-    opened.clear()
-    assert index.page(0).objects[0].evaluations == BUDGET
-    assert opened == []
+    assert (index.objects(0).objects[0].state, index.objects(0).objects[0].evaluations) == ("done", BUDGET)
 
 
 def test_without_the_file_of_the_campaign_objects_are_those_of_its_runs(campaign: Path) -> None:
-    (found,) = ObjectIndex(campaign, RunIndex(campaign)).page(0).objects
+    (found,) = RunIndex(campaign).objects(0).objects
     assert (found.object, found.runs, found.runs_done, found.state) == ("block.stl", 2, 1, "running")
     JobFolder(campaign).run_paths[0].joinpath("spec.toml").write_text("no spec")
-    (found,) = ObjectIndex(campaign, RunIndex(campaign)).page(0).objects
+    (found,) = RunIndex(campaign).objects(0).objects
     assert found.runs == 1
 
 

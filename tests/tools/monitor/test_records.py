@@ -166,7 +166,7 @@ def test_what_is_not_there_is_refused(records: Records) -> None:
 
 def test_objects_and_single_runs_over_the_bus_are_those_of_the_folder(tmp_path, network, monkeypatch) -> None:
     job = record_campaign(tmp_path / "parts", 3, hands=("panda",))
-    expected = queries.ObjectIndex(job.path, queries.RunIndex(job.path)).page(0).objects
+    expected = queries.RunIndex(job.path).objects(0).objects
     monkeypatch.setattr(queries, "OBJECTS_PER_PAGE", 2)
     bus = BusRecords(network.session())
     with QueryServer(network.session(), "parts", job.path):
