@@ -16,7 +16,8 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
-from qdgrasp_coordinator.metrics.success_metrics import SuccessHistory
+from qdgrasp_coordinator.metrics.success_metrics import cell_growth, reference_growth
+from qdgrasp_coordinator.metrics.successes import Successes, all_successes
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, row_shape
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
@@ -48,8 +49,8 @@ class SingleRun:
         return np.cumsum(evaluation_mask(self.rows, self.spec.overlaps))
 
     @property
-    def history(self) -> SuccessHistory:
-        return SuccessHistory.among(self.rows, self.spec.overlaps)
+    def successes(self) -> Successes:
+        return all_successes(self.rows, overlaps=self.spec.overlaps)
 
     def coverage(self, evaluations: Sequence[int], least: Outcome = Outcome.DROPPED) -> NDArray[np.float64]:
         """The share of S_G, or of its robust cells, found with this outcome at least; NaN without a set."""
@@ -57,7 +58,7 @@ class SingleRun:
         if known is None:
             return np.full(len(evaluations), np.nan)
         known = known.robust if least is Outcome.HELD else known
-        return self.history.found(known, least).after(evaluations) / len(known)
+        return reference_growth(self.successes, known, least).after(evaluations) / len(known)
 
     def as_dict(self) -> dict[str, Any]:
         spent = int(self.evaluations[-1])
@@ -74,11 +75,11 @@ class SingleRun:
             "evaluations": passed,
             "coverage": np.round(self.coverage(passed), 4).tolist(),
             "robust_coverage": np.round(self.coverage(passed, Outcome.HELD), 4).tolist(),
-            "cells": self.history.cells().after(passed).tolist(),
-            "cells_that_hold": self.history.cells(Outcome.HELD).after(passed).tolist(),
-            "successes": len(self.history.rows),
-            "mean_fitness": round(float(self.history.rows["fitness"].mean()), 3)
-            if len(self.history.rows)
+            "cells": cell_growth(self.successes).after(passed).tolist(),
+            "cells_that_hold": cell_growth(self.successes, Outcome.HELD).after(passed).tolist(),
+            "successes": len(self.successes.rows),
+            "mean_fitness": round(float(self.successes.rows["fitness"].mean()), 3)
+            if len(self.successes.rows)
             else 0,
             "genomes": len(nominal),
             "proposals": int(nominal["proposals"].sum(dtype=np.int64)),

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp.arguments import POSE_COLUMNS, SceneArguments, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
-from qdgrasp_coordinator.metrics.scores import TrialPlan, nominal_scores
+from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_plan import (
     JobExtent,
@@ -28,7 +28,7 @@ from qdgrasp_coordinator.scheduler.run_plan import (
 from qdgrasp_coordinator.search.fixed_poses import HandPoses, PoseNames, check_given, scores
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import GIVEN, Rows
+from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.local.session import LocalSession
 
@@ -178,9 +178,9 @@ class Evaluations:
             The job was cancelled, or workers die again and again.
         """
         rows = self.journal(genomes, timeout)
-        nominal: Rows = rows[rows["trial"] == 0]
-        nominal["fitness"] = nominal_scores(rows, TrialPlan.of(self.spec))[0]
-        return nominal
+        found = all_successes(rows, TrialPlan.of(self.spec), least=Outcome.ERROR)
+        found.rows["fitness"] = found.scores
+        return found.rows
 
     def journal(self, genomes: ArrayLike, timeout: float | None = None) -> Rows:
         """Return every row that a journal would have, trials too, with nominal fitness."""

@@ -14,7 +14,6 @@ from qdgrasp.hand import Hand
 from qdgrasp_assets.genes import archive_box, layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
-from qdgrasp_coordinator.metrics.scores import TrialPlan, scored_successes
 from qdgrasp_coordinator.search.archive import ribs_archive
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -170,9 +169,7 @@ class Run:
         fitness that the search is told. `archive.data(return_type="pandas")` is its table, and
         `ribs.visualize` draws it.
         """
-        with self._folder.journal() as journal:
-            found = [journal.shape.empty(0), *scored_successes(journal.blocks(), TrialPlan.of(self.spec))]
-        rows = np.concatenate(found)
+        rows = self._folder.successes().scored
         box = archive_box(self.scene, prior_of(self.spec))
         return ribs_archive(box, rows, rows["fitness"].astype(np.float64))
 

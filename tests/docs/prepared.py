@@ -173,8 +173,8 @@ def copy_of(name: str) -> Maker:
 
 def reference(prepared: Prepared, path: Path) -> None:
     """A reference set of the cells that a run found on the cube."""
-    with RunFolder.open(prepared.make("runs/cube")).journal() as journal:
-        found = np.unique(cells(journal.successes()["base_to_object"][:, :3]), axis=0)
+    rows = RunFolder.open(prepared.make("runs/cube")).successes().rows
+    found = np.unique(cells(rows["base_to_object"][:, :3]), axis=0)
     np.savez(
         path,
         **{"rubiks_cube.cm": found.astype(np.int16), "rubiks_cube.fitness": np.full(len(found), 2, np.uint8)},

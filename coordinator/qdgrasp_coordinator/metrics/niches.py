@@ -1,19 +1,17 @@
-"""Niches: bins of hand position, orientation and synergy, and the best success of each.
+"""Niches: bins of hand position, orientation and synergy, and the reader of genomes.
 
 The paper's archive and S_G tell grasps apart by position alone. A data set wants more: hands in one cell
 that look elsewhere, are rolled, or close other fingers. That archive stays as it is.
 """
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import layout
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.cells import cells, orientations
-from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Genomes, Layout, Rows
 
 NicheKeys = NDArray[np.int64]
@@ -25,33 +23,57 @@ _FARTHEST = (1 << (CELL_BITS - 1)) - 1
 
 
 @dataclass(frozen=True)
-class SynergyReader:
-    """Reader of the synergy that a genome closes the hand with."""
+class GenomeReader:
+    """Reader of the synergy and the finger joints of genomes, as evaluation reads them."""
 
     layout: Layout
+    hand: SceneGripper | None = None
+    """None: its joints are not known."""
+
+    @classmethod
+    def of(cls, scene: Scene, prior: str) -> "GenomeReader":
+        """Return the reader for genomes of a prior in a scene."""
+        return cls(layout(scene, prior), scene.gripper)
+
+    def values(self, genomes: Genomes) -> NDArray[np.floating]:
+        """Return the values (n, d) of the genes of each genome."""
+        genes = genomes[:, : len(self.layout)]
+        return genes if self.layout.prior == GIVEN else self.layout.values(genes)
 
     def labels(self, genomes: Genomes) -> NDArray[np.int64]:
-        """Return the label (n,) of each genome (n, d), as evaluation reads it, or `NO_SYNERGY`."""
+        """Return the label (n,) of the synergy of each genome, or `NO_SYNERGY`."""
         if SYNERGY not in self.layout.names:
             return np.full(len(genomes), NO_SYNERGY)
-        place = self.layout.names.index(SYNERGY)
-        gene, column = Layout(self.layout.prior, self.layout.genes[place : place + 1]), genomes[:, [place]]
-        values = column if self.layout.prior == GIVEN else gene.values(column)
-        return np.rint(values[:, 0]).astype(np.int64)
+        labels = self.values(genomes)[:, self.layout.names.index(SYNERGY)]
+        return np.asarray(np.rint(labels), dtype=np.int64)
+
+    def postures(self, rows: Rows) -> NDArray[np.float32]:
+        """Return start positions (n, j) of joints [rad or m]: open, free joints from the genomes.
+
+        Of an unknown hand they are those after closing.
+        """
+        if self.hand is None:
+            return np.asarray(rows["joints"])
+        if not (free := len(self.hand.free_joints)):
+            return opened(self.hand, np.zeros((len(rows), 0)))
+        return opened(self.hand, self.values(rows["genome"])[:, -free:])
 
 
-def synergies(scene: Scene, prior: str) -> SynergyReader:
-    """Return the reader of synergies for genomes of a prior in a scene."""
-    return SynergyReader(layout(scene, prior))
+def opened(hand: SceneGripper, spreads: NDArray[np.floating]) -> NDArray[np.float32]:
+    """The joint positions (n, j) of the open posture, with free joints at `spreads` (n, k)."""
+    names = [joint.name for joint in hand.joints]
+    starts = np.tile(np.array([joint.opened for joint in hand.joints], np.float32), (len(spreads), 1))
+    starts[:, [names.index(joint.name) for joint in hand.free_joints]] = spreads
+    return starts
 
 
-UNKNOWN_SYNERGIES = SynergyReader(Layout("", ()))  # Reader for an unknown scene: one synergy is taken for all
+UNKNOWN_GENOMES = GenomeReader(Layout("", ()))  # Reader for an unknown scene: one synergy is taken for all
 
 
-def niches(rows: Rows, synergies: SynergyReader) -> NicheKeys:
+def niches(rows: Rows, reader: GenomeReader) -> NicheKeys:
     """The niche of each row's pose: (n,)."""
     found = np.clip(cells(rows["descriptor"][:, :3]), -_FARTHEST, _FARTHEST) + _FARTHEST
-    labels = synergies.labels(rows["genome"]) - NO_SYNERGY
+    labels = reader.labels(rows["genome"]) - NO_SYNERGY
     keys: NicheKeys = found[:, 0]
     for more, bits in (
         (found[:, 1], CELL_BITS),
@@ -77,77 +99,3 @@ def without_synergy(keys: NicheKeys) -> NicheKeys:
     """One number for the cell and the orientation of each niche: (n,)."""
     orientation = keys & ((1 << ORIENTATION_BITS) - 1)
     return (cell_of(keys) << ORIENTATION_BITS) | orientation
-
-
-TAKEN = ("outcome", "fitness", "contacts", "penetration", "generation", "index")
-ITEMS = ("u1", "<f4", "u1", "<f4", "<u4", "<u4")
-ELITE = np.dtype([("niche", "<i8"), *zip(TAKEN, ITEMS, strict=True)])
-"""Stored fields of a niche's best success; (generation, index) is its row in the journal."""
-
-
-class NicheArchive:
-    """The best nominal success of each niche, 26 bytes each; at most one per success.
-
-    One is better than another by its outcome; of equals by fitness; of equals with less penetration; of
-    equals with more contacts; of equals the earlier one in the journal. In which order rows are offered
-    does not matter.
-    """
-
-    def __init__(self, synergies: SynergyReader) -> None:
-        self._synergies = synergies
-        self._kept = np.zeros(0, ELITE)
-        self._waiting: list[NDArray[np.void]] = []
-        self._n_waiting = 0
-
-    def inserting(self, blocks: Iterable[Rows]) -> Iterator[Rows]:
-        """Yield the same blocks, each offered as it passes."""
-        for block in blocks:
-            self.insert(block)
-            yield block
-
-    def insert(self, rows: Rows) -> None:
-        """Offer rows; only nominal successes are kept."""
-        found = successes(rows)
-        if len(found):
-            self._waiting.append(self._elites(found))
-            self._n_waiting += len(found)
-        if self._n_waiting > max(4096, len(self._kept) // 4):  # each is sorted in a few times, not every time
-            self._settle()
-
-    def joined(self, other: "NicheArchive") -> "NicheArchive":
-        """Merge two archives, which may read synergies from other genes; of equals this one's stays."""
-        both = NicheArchive(self._synergies)
-        both._kept = best_per_niche(np.concatenate([self.elites, other.elites]))
-        return both
-
-    @property
-    def elites(self) -> NDArray[np.void]:
-        """The best of each niche (n,), `ELITE`, ascending by niche."""
-        self._settle()
-        return self._kept
-
-    def __len__(self) -> int:
-        return len(self.elites)
-
-    def _settle(self) -> None:
-        if self._waiting:
-            self._kept = best_per_niche(np.concatenate([self._kept, *self._waiting]))
-            self._waiting, self._n_waiting = [], 0
-
-    def _elites(self, found: Rows) -> NDArray[np.void]:
-        elites = np.zeros(len(found), ELITE)
-        elites["niche"] = niches(found, self._synergies)
-        for name in TAKEN:
-            elites[name] = found[name]
-        return elites
-
-
-def best_per_niche(elites: NDArray[np.void]) -> NDArray[np.void]:
-    """The best one of each niche, ascending by niche; see `NicheArchive`."""
-    order = np.lexsort((
-        elites["index"], elites["generation"], -elites["contacts"].astype(np.int64), elites["penetration"],
-        -elites["fitness"], -elites["outcome"].astype(np.int64), elites["niche"],
-    ))  # fmt: skip
-    ranked = elites[order]
-    _, first = np.unique(ranked["niche"], return_index=True)
-    return ranked[first]

@@ -28,7 +28,7 @@ from qdgrasp_assets.scene import Scene, SceneObject
 from qdgrasp_assets.ycb import PREFIX
 from qdgrasp_coordinator.metrics.arrays import read_arrays
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
-from qdgrasp_coordinator.metrics.scores import ROBUST
+from qdgrasp_coordinator.metrics.successes import ROBUST
 from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
 from qdgrasp_protocol.text import counted
 

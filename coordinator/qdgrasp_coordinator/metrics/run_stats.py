@@ -3,7 +3,7 @@
 All counts are a function of the journal's rows in their order, so that a replayed run has the same.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Annotated, Self
 
 import numpy as np
@@ -191,6 +191,12 @@ class RunCounter:
             if self.finished if spec.has_own_search else is_last.any():
                 self.end_generation()
 
+    def counting(self, blocks: Iterable[Rows], spec: RunSpec) -> Iterator[Rows]:
+        """Yield the next rows of a journal, in blocks, each counted as it passes."""
+        for block in blocks:
+            self.count_block(block, spec)
+            yield block
+
     def count(self, rows: Rows) -> None:
         """Count the next rows."""
         if not len(rows):
@@ -340,6 +346,6 @@ class RunCounter:
 def count_rows(spec: RunSpec, blocks: Iterable[Rows]) -> RunCounter:
     """Return the counter of a journal's rows, in their order, in blocks of any length."""
     counter = RunCounter.of(spec)
-    for block in blocks:
-        counter.count_block(block, spec)
+    for _ in counter.counting(blocks, spec):
+        pass
     return counter

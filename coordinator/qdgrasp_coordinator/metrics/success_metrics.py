@@ -1,14 +1,12 @@
 """Figures of successes: fitness, growth, nu, eta, QD score and diversity, from rows.
 
-Diversity counts different grasps, told apart by position, orientation and synergy. A series or history says
+Diversity counts different grasps, told apart by position, orientation and synergy. A series says
 after how many counted evaluations each success was found.
 """
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Self
+from typing import Any
 
 import numpy as np
 from msgspec import Struct
@@ -16,12 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.metrics import niches
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
-from qdgrasp_coordinator.metrics.niches import NicheArchive, NicheKeys
+from qdgrasp_coordinator.metrics.niches import NicheKeys
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, ReleasedArchive
-from qdgrasp_coordinator.metrics.run_stats import evaluation_mask, success_mask, successes
-from qdgrasp_coordinator.metrics.scores import NO_TRIALS, TrialPlan, TrialSums, eta_error
+from qdgrasp_coordinator.metrics.successes import NO_TRIALS, Successes, TrialPlan, eta_error
 from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import Overlaps
 
 FITNESS_COLOURS = ("#bdb7ad", "#f2a431", "#2a73b9")
 """Of survival 0, 1 and 2; told apart with any colour vision, and by their lightness alone."""
@@ -56,28 +52,6 @@ def step_series(
     return StepSeries(evaluations[some], np.cumsum(changes[some], dtype=np.int64))
 
 
-@dataclass(frozen=True)
-class ArchiveGrowth:
-    """Sums over the rows of a journal, before its first row and after each: (n + 1,)."""
-
-    evaluations: NDArray[np.int64]
-    """Counted evaluations."""
-    successes: NDArray[np.int64]
-    cells: NDArray[np.int64]
-    """Distinct 1 cm cells with a success."""
-
-
-def archive_growth(rows: Rows, overlaps: Overlaps = "count") -> ArchiveGrowth:
-    """Sum along rows in journal order; trials above 0 add nothing."""
-    success = success_mask(rows)
-    places = np.flatnonzero(success)
-    new = np.zeros(len(rows), dtype=bool)
-    new[places] = first_occurrences(cell_keys(cells(rows["descriptor"][places, :3])))
-    return ArchiveGrowth(
-        *(np.cumsum(np.r_[0, steps]) for steps in (evaluation_mask(rows, overlaps), success, new))
-    )
-
-
 def first_occurrences(keys: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Flag the first occurrence of each number (n,): (n,)."""
     first = np.zeros(len(keys), dtype=bool)
@@ -94,54 +68,29 @@ def nu_angles(rows: Rows) -> NDArray[np.float64]:
     return np.clip(aimed - ROUNDING, 0.0, math.pi)
 
 
-@dataclass(frozen=True)
-class SuccessHistory:
-    """The nominal successes of a run in journal order."""
-
-    rows: Rows
-    """(n,)."""
-    evaluations: NDArray[np.int64]
-    """(n,): counted evaluations so far, itself included."""
-
-    @classmethod
-    def among(cls, rows: Rows, overlaps: Overlaps, before: int = 0) -> Self:
-        """The successes among rows in journal order, after so many counted evaluations."""
-        evaluations = before + np.cumsum(evaluation_mask(rows, overlaps))
-        success = success_mask(rows)
-        return cls(rows[success], evaluations[success])
-
-    @property
-    def nu(self) -> NDArray[np.float64]:
-        """(m,) [rad], 0 to pi: of those that aim at a surface point."""
-        return nu_angles(self.rows)
-
-    def cells(self, least: Outcome = Outcome.DROPPED) -> StepSeries:
-        """Distinct 1 cm cells with a success of at least this outcome."""
-        chosen = self.rows["outcome"] >= least
-        descriptors = self.rows["descriptor"][chosen][:, :3]
-        return step_series(self.evaluations[chosen], first_occurrences(cell_keys(cells(descriptors))))
-
-    def found(self, reference: ReferenceSet, least: Outcome = Outcome.DROPPED) -> StepSeries:
-        """Distinct entries of a set that were found with at least this outcome."""
-        chosen = self.rows["outcome"] >= least
-        reached = cell_keys(cells(self.rows["base_to_object"][chosen][:, :3]))
-        new = first_occurrences(reached) & np.isin(reached, cell_keys(reference.cells))
-        return step_series(self.evaluations[chosen], new)
-
-    def published(self, reference: ReferenceSet, archive: ReleasedArchive) -> StepSeries:
-        """Elites of the released code's archive in a set: each counts, and may be displaced."""
-        positions = self.rows["base_to_object"][:, :3]
-        shared = np.isin(cell_keys(cells(positions)), cell_keys(reference.cells))
-        gains = _gains(archive.keys(positions), self.rows["fitness"], shared.astype(np.int64))
-        return step_series(self.evaluations, gains)
+def cell_growth(found: Successes, least: Outcome = Outcome.DROPPED) -> StepSeries:
+    """Distinct 1 cm cells with a success of at least this outcome."""
+    chosen = found.rows["outcome"] >= least
+    reached = cell_keys(cells(found.rows["descriptor"][chosen][:, :3]))
+    return step_series(found.evaluations[chosen], first_occurrences(reached))
 
 
-def join_histories(found: Iterable[SuccessHistory], none: Rows) -> SuccessHistory:
-    """The finds of several blocks in one."""
-    parts = [SuccessHistory(none, np.zeros(0, np.int64)), *found]
-    return SuccessHistory(
-        np.concatenate([part.rows for part in parts]), np.concatenate([part.evaluations for part in parts])
-    )
+def reference_growth(
+    found: Successes, reference: ReferenceSet, least: Outcome = Outcome.DROPPED
+) -> StepSeries:
+    """Distinct entries of a set that were found with at least this outcome."""
+    chosen = found.rows["outcome"] >= least
+    reached = cell_keys(cells(found.rows["base_to_object"][chosen][:, :3]))
+    new = first_occurrences(reached) & np.isin(reached, cell_keys(reference.cells))
+    return step_series(found.evaluations[chosen], new)
+
+
+def released_growth(found: Successes, reference: ReferenceSet, archive: ReleasedArchive) -> StepSeries:
+    """Elites of the released code's archive in a set: each counts, and may be displaced."""
+    positions = found.rows["base_to_object"][:, :3]
+    shared = np.isin(cell_keys(cells(positions)), cell_keys(reference.cells))
+    gains = _gains(archive.keys(positions), found.rows["fitness"], shared.astype(np.int64))
+    return step_series(found.evaluations, gains)
 
 
 def _gains(
@@ -163,15 +112,14 @@ def _gains(
     return gains
 
 
-NU_SUMMARY_BINS = 18  # Bins of the nu histogram from 0 to pi: 10 degrees each
-NEAR_NU = math.pi / 4  # The approach prior's nu_a (Huber et al. 2024, section III-A) [rad].
+NU_BINS = 24  # Bins of nu from 0 to pi, 7.5 degrees each: six of them reach to pi / 4
 
 
 class NuSummary(Struct, frozen=True, kw_only=True):
     """Lean of successes from the surface normal: their nu (Huber et al. 2024, eq. 1)."""
 
     bins: tuple[int, ...]
-    """Successes in each of 18 equal bins from 0 to pi; the last one includes pi."""
+    """Successes in each of 24 equal bins from 0 to pi; the last one includes pi."""
     below_quarter_pi: float | None
     """The share of successes with nu below pi / 4, 0 to 1; None without a success that has a nu."""
 
@@ -207,95 +155,59 @@ class EtaSummary(Struct, frozen=True, kw_only=True):
         return f"mean {self.mean:.3f}{error}, best {self.best:.3f}, {half}{trials}"
 
 
-class ScoreCounts:
-    """Numbers of successes by score and trials, and the best score of each cell."""
-
-    def __init__(self) -> None:
-        self.counts: Counter[tuple[float, int]] = Counter()
-        self.best: dict[int, float] = {}
-
-    def add(self, scored: Rows) -> None:
-        """Add scored successes; see `TrialSums.take`."""
-        scores = scored["fitness"].tolist()
-        self.counts.update(zip(scores, scored["trial"].tolist(), strict=True))
-        reached = cell_keys(cells(scored["descriptor"][:, :3])).tolist()
-        for cell, score in zip(reached, scores, strict=True):
-            self.best[cell] = max(score, self.best.get(cell, 0.0))
-
-    def mean(self, values: Iterable[float]) -> float | None:
-        """Return the mean over all successes of a value for each entry of `counts`.
-
-        None without a success.
-        """
-        total = self.counts.total()
-        pairs = zip(values, self.counts.values(), strict=True)
-        return math.fsum(value * n for value, n in pairs) / total if total else None
-
-
 class SuccessMetrics:
-    """Sums over the successes of a journal, in any order; with trials, in its order."""
-
-    successes: int = 0
+    """Sums over the successes of a journal, which are added some at a time."""
 
     def __init__(self, plan: TrialPlan = NO_TRIALS) -> None:
         self._plan = plan
-        self._trials = TrialSums(plan)
-        self._scores = ScoreCounts()  # Of successes that have all of their trials
-        self._bins = np.zeros(NU_SUMMARY_BINS, dtype=np.int64)
-        self._near = 0
+        self._scored = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64))]
+        self._nu = np.zeros(NU_BINS, dtype=np.int64)
 
-    def count(self, rows: Rows) -> None:
-        """Count the next rows."""
-        found = successes(rows)
-        self.successes += len(found)
-        angles = nu_angles(found)
-        self._bins += np.histogram(angles, bins=NU_SUMMARY_BINS, range=(0.0, math.pi))[0]
-        self._near += int(np.count_nonzero(angles < NEAR_NU))
-        self._scores.add(self._trials.take(rows))
-
-    def counting(self, blocks: Iterable[Rows]) -> Iterator[Rows]:
-        """The same blocks, each counted as it passes."""
-        for block in blocks:
-            self.count(block)
-            yield block
+    def add(self, found: Successes) -> None:
+        """Add successes; only those that have all of their trials have a score that counts."""
+        self._nu += np.histogram(nu_angles(found.rows), bins=NU_BINS, range=(0.0, math.pi))[0]
+        scored = found[~np.isnan(found.scores)]
+        reached = cell_keys(cells(scored.rows["descriptor"][:, :3]))
+        self._scored.append((reached, scored.scores, scored.trials))
 
     @property
     def qd_score(self) -> float:
         """QD score: over all cells with a success, the sum of the best fitness found in each."""
-        return math.fsum(self._scores.best.values())
+        reached, scores, _ = map(np.concatenate, zip(*self._scored, strict=True))
+        order = np.lexsort((-scores, reached))
+        return float(scores[order[np.unique(reached[order], return_index=True)[1]]].clip(min=0.0).sum())
 
     @property
     def mean_fitness(self) -> float | None:
         """Mean fitness of all successes that count; None without one."""
-        found = self._scores
-        return found.mean(score for score, _ in found.counts)
+        return _mean(np.concatenate([scores for _, scores, _ in self._scored]))
 
     @property
     def eta(self) -> EtaSummary | None:
         """Eta of the successes; None for a protocol without trials."""
         if not self._plan.trials:
             return None
-        found = self._scores
-        scores = np.array([score for score, _ in found.counts])
-        trials = np.array([n for _, n in found.counts], np.int64)
-        etas, total = self._plan.eta(scores), found.counts.total()
-        variance = found.mean((eta_error(etas, trials) ** 2).tolist())
+        _, scores, trials = map(np.concatenate, zip(*self._scored, strict=True))
+        etas = self._plan.eta(scores)
+        variance = _mean(eta_error(etas, trials) ** 2)
         return EtaSummary(
-            successes=total,
-            mean=found.mean(etas.tolist()),
-            best=float(etas.max()) if total else None,
-            at_least_half=found.mean((etas >= 0.5).astype(np.float64).tolist()),
-            error=None if variance is None else math.sqrt(variance / total),
-            trials=found.mean(trials.tolist()),
+            successes=len(etas),
+            mean=_mean(etas),
+            best=float(etas.max()) if len(etas) else None,
+            at_least_half=_mean(etas >= 0.5),
+            error=None if variance is None else math.sqrt(variance / len(etas)),
+            trials=_mean(trials),
         )
 
     @property
     def nu(self) -> NuSummary:
         """Nu of the successes that aim at a surface point."""
-        aimed = int(self._bins.sum())
-        return NuSummary(
-            bins=tuple(self._bins.tolist()), below_quarter_pi=self._near / aimed if aimed else None
-        )
+        aimed, near = int(self._nu.sum()), int(self._nu[: NU_BINS // 4].sum())
+        return NuSummary(bins=tuple(self._nu.tolist()), below_quarter_pi=near / aimed if aimed else None)
+
+
+def _mean(values: NDArray[Any]) -> float | None:
+    return float(values.mean()) if len(values) else None
 
 
 class Diversity(Struct, frozen=True, kw_only=True):
@@ -323,15 +235,14 @@ class Diversity(Struct, frozen=True, kw_only=True):
         )
 
 
-def diversity(archive: NicheArchive) -> Diversity:
-    """Count the niches of an archive."""
-    elites = archive.elites
-    keys: NicheKeys = elites["niche"]
-    cells = len(np.unique(niches.cell_of(keys)))
+def diversity(keys: NicheKeys, outcomes: NDArray[np.integer]) -> Diversity:
+    """Count the niches of successes (n,), which have such outcomes (n,)."""
+    found = np.unique(keys)
+    cells = len(np.unique(niches.cell_of(found)))
     return Diversity(
-        niches=len(keys),
-        grasp_niches=int(np.count_nonzero(elites["outcome"] >= Outcome.SHAKEN)),
-        robust_niches=int(np.count_nonzero(elites["outcome"] >= Outcome.HELD)),
-        orientations=len(np.unique(niches.without_synergy(keys))) / cells if cells else None,
-        synergies=len(np.unique(niches.without_orientation(keys))) / cells if cells else None,
+        niches=len(found),
+        grasp_niches=len(np.unique(keys[outcomes >= Outcome.SHAKEN])),
+        robust_niches=len(np.unique(keys[outcomes >= Outcome.HELD])),
+        orientations=len(np.unique(niches.without_synergy(found))) / cells if cells else None,
+        synergies=len(np.unique(niches.without_orientation(found))) / cells if cells else None,
     )

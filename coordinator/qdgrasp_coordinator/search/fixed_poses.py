@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.arrays import finite_numbers, read_arrays, real_numbers
-from qdgrasp_coordinator.metrics.scores import NO_TRIALS, TrialPlan, nominal_scores
+from qdgrasp_coordinator.metrics.niches import GenomeReader
+from qdgrasp_coordinator.metrics.successes import NO_TRIALS, TrialPlan, all_successes
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
-from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Genomes, Outcome, Rows
+from qdgrasp_protocol.rows import NO_SYNERGY, Genomes, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 
 ROUNDING = 1e-6  # Greatest error of a unit quaternion's length in float32
@@ -139,30 +139,14 @@ def read_poses(path: Path) -> HandPoses:
 def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:
     """Return the genomes of the prior `given` (n, d) with the very poses of rows of `prior`.
 
-    Evaluated, they give the same outcome, fitness and trials bit for bit. In a merged journal zeros may stand
-    behind the genes.
+    Evaluated, they give the same outcome, fitness and trials bit for bit.
     """
-    known, hand = layout(scene, prior), scene.gripper
-    genomes = rows["genome"][:, : len(known)]
-    values = genomes.astype(np.float64) if prior == GIVEN else known.values(genomes)
-    own = len(known) - bool(hand.synergies) - len(hand.free_joints)
+    hand = scene.gripper
+    values = GenomeReader.of(scene, prior).values(rows["genome"]).astype(np.float64)
+    own = values.shape[1] - bool(hand.synergies) - len(hand.free_joints)
     if hand.synergies:
         values[:, own] = np.rint(values[:, own])
     return np.hstack([rows["base_to_object"], values[:, own:]]).astype(np.float32)
-
-
-def postures(scene: Scene, prior: str, rows: Rows) -> NDArray[np.float32]:
-    """Return start positions (n, j) of joints [rad or m]: open, free joints from the genomes."""
-    given = as_given(scene, prior, rows)
-    return opened(scene.gripper, given[:, given.shape[1] - len(scene.gripper.free_joints) :])
-
-
-def opened(gripper: SceneGripper, spreads: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The joint positions (n, j) of the open posture, with free joints at `spreads` (n, k)."""
-    names = [joint.name for joint in gripper.joints]
-    starts = np.tile(np.array([joint.opened for joint in gripper.joints], np.float32), (len(spreads), 1))
-    starts[:, [names.index(joint.name) for joint in gripper.free_joints]] = spreads
-    return starts
 
 
 def write_scores(path: Path, rows: Rows, plan: TrialPlan = NO_TRIALS) -> None:
@@ -179,8 +163,8 @@ def scores(rows: Rows, plan: TrialPlan = NO_TRIALS) -> dict[str, NDArray[np.gene
     after closing; contacts (n,) finger links in contact; penetration (n,) [m]. Where the plan has trials, eta
     (n,): the estimated probability that it transfers, 0 for all but successes.
     """
-    etas = {"eta": plan.eta(nominal_scores(rows, plan)[0])} if plan.trials else {}
-    rows = rows[rows["trial"] == 0]
+    found = all_successes(rows, plan, least=Outcome.ERROR)
+    etas, rows = {"eta": plan.eta(found.scores)} if plan.trials else {}, found.rows
     outcome = rows["outcome"]
     return etas | {
         "valid": outcome >= Outcome.MISSED,

@@ -18,7 +18,7 @@ from qdgrasp_assets.genes import TOUCH_VALUE
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, from_frame, multiply, tangents, turned
 from qdgrasp_assets.scene import Vector
 from qdgrasp_coordinator.metrics.cells import BINS, clear_orientations, orientations
-from qdgrasp_coordinator.metrics.niches import SynergyReader
+from qdgrasp_coordinator.metrics.niches import GenomeReader
 from qdgrasp_coordinator.search.aimed import AimedGrasps, directions, posture_genes
 from qdgrasp_coordinator.search.archive import PositionBox
 from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
@@ -163,7 +163,7 @@ class KindReader:
     """Reads the kind of grasps, recorded or proposed."""
 
     def __init__(self, spec: RunSpec, space: SearchSpace) -> None:
-        self._synergies = SynergyReader(space.layout) if spec.diversity == "posture" else None
+        self._synergies = GenomeReader(space.layout) if spec.diversity == "posture" else None
         self._genes = len(space.layout)
         axis = np.array([space.approach_axis])
         self._from_rest = conjugate(from_frame(*tangents(axis), axis))

@@ -19,7 +19,6 @@ from typing import Any, Self
 import msgspec
 import numpy as np
 
-from qdgrasp_coordinator.metrics.run_stats import successes
 from qdgrasp_coordinator.storage.outputs import JOURNAL, damaged_file
 from qdgrasp_protocol.errors import DiskFull, FolderError, MessageError
 from qdgrasp_protocol.messages import Failure, Recordable, Width, deflated
@@ -318,11 +317,6 @@ class Journal:
     def slices(self) -> Iterator[JournalSlice]:
         """Yield all rows in order, some thousands at a time, with their cost and failures."""
         return self._slices(0, self.count)
-
-    def successes(self) -> Rows:
-        """Return every nominal success, in order, all columns; fitness 0 included (the archive A_o)."""
-        found = [successes(rows) for rows in self.blocks()]
-        return np.concatenate([self.shape.empty(0), *found])
 
     def errors(self) -> dict[int, str]:
         """Return the reasons of rows with `Outcome.ERROR`, by row number."""

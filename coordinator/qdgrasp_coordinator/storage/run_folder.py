@@ -13,18 +13,20 @@ The digest of a journal is equal for two runs of one spec, however they were car
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
 from qdgrasp_assets.scene import Bundle, Scene, unpack_scene
+from qdgrasp_coordinator.metrics.successes import Successes, TrialPlan, find_successes, join_successes
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
 from qdgrasp_coordinator.storage.journal import Journal, JournalIdentity
 from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE, SPEC, OutFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import FolderError, MessageError
-from qdgrasp_protocol.rows import RowShape
+from qdgrasp_protocol.rows import Outcome, RowShape
 from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
 from qdgrasp_protocol.text import first_few
 
@@ -196,6 +198,13 @@ class RunFolder:
             return journal
         scene = self.bundle().digest if self.has_bundle() else ""
         return Journal.empty(JournalIdentity(self.run, to_toml(self.spec), scene, RowShape(0, 0)))
+
+    def successes(self, least: Outcome = Outcome.DROPPED) -> Successes:
+        """Return all successes as they are now, or all nominal rows of at least an outcome."""
+        spec = self.spec
+        with self.journal() as journal:
+            blocks = chain([journal.shape.empty(0)], journal.blocks())
+            return join_successes([*find_successes(blocks, TrialPlan.of(spec), spec.overlaps, least=least)])
 
     def _check_own(self, journal: Journal) -> None:
         """Check that a journal is of this folder's spec, with any budget, and of its scene."""

@@ -6,48 +6,19 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import layout
-from qdgrasp_assets.scene import Joint, Scene
-from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, SynergyReader
-from qdgrasp_coordinator.metrics.run_stats import success_mask
-from qdgrasp_coordinator.metrics.scores import NO_TRIALS, TrialPlan, known_scores
+from qdgrasp_coordinator.metrics.niches import UNKNOWN_GENOMES, GenomeReader
+from qdgrasp_coordinator.metrics.successes import (
+    NO_TRIALS,
+    TrialPlan,
+    all_successes,
+    find_successes,
+    join_successes,
+)
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_protocol.messages import SuccessPage, deflated
-from qdgrasp_protocol.rows import GIVEN, RESULT, Layout, RowColumn, Rows, RowShape, pack, unpack
+from qdgrasp_protocol.rows import RESULT, RowColumn, Rows, RowShape, pack, unpack
 
 NO_ETA = -1.0  # Placeholder for an eta that is not known
-
-
-@dataclass(frozen=True)
-class PostureReader:
-    """Reader of the finger joints that a genome's hand starts from."""
-
-    layout: Layout
-    joints: tuple[Joint, ...]
-    """Joints of the hand; none if it is not known."""
-    free: tuple[str, ...]
-    """Names of its free joints, whose genes are the last ones."""
-
-    def postures(self, rows: Rows) -> NDArray[np.float32]:
-        """Return start positions (n, j) [rad or m]; of an unknown hand those after closing."""
-        if not self.joints:
-            return np.asarray(rows["joints"])
-        starts = np.tile(np.array([joint.opened for joint in self.joints], np.float32), (len(rows), 1))
-        if self.free:
-            genomes = rows["genome"][:, : len(self.layout)]
-            values = genomes if self.layout.prior == GIVEN else self.layout.values(genomes)
-            names = [joint.name for joint in self.joints]
-            starts[:, [names.index(name) for name in self.free]] = values[:, -len(self.free) :]
-        return starts
-
-    @classmethod
-    def of(cls, scene: Scene, prior: str) -> "PostureReader":
-        """Return the reader for genomes of a prior in a scene."""
-        hand = scene.gripper
-        return cls(layout(scene, prior), hand.joints, tuple(joint.name for joint in hand.free_joints))
-
-
-UNKNOWN_POSTURES = PostureReader(Layout("", ()), (), ())
 
 
 @dataclass(frozen=True)
@@ -56,23 +27,7 @@ class RowContext:
 
     plan: TrialPlan = NO_TRIALS
     """Numbers of trials of a success."""
-    synergies: SynergyReader = UNKNOWN_SYNERGIES
-    postures: PostureReader = UNKNOWN_POSTURES
-
-    def etas(self, rows: Rows) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return eta and trials of each nominal success in consecutive rows (n,).
-
-        Eta is `NO_ETA` where it is not known.
-        """
-        scores, trials = known_scores(rows, self.plan)
-        known = self.plan.eta(scores) if self.plan.trials else np.full(len(scores), np.nan)
-        return np.nan_to_num(known, nan=NO_ETA), trials
-
-    def has_all_trials(self, rows: Rows) -> NDArray[np.bool_]:
-        """Flag the nominal successes (n,) in consecutive rows that have all of their trials."""
-        if not self.plan.trials:
-            return np.ones(int(np.count_nonzero(success_mask(rows))), dtype=bool)
-        return np.asarray(known_scores(rows, self.plan)[1] == self.plan.trials)
+    genomes: GenomeReader = UNKNOWN_GENOMES
 
 
 SUCCESS_COLUMNS = (
@@ -153,7 +108,7 @@ def page_from_message(message: SuccessPage) -> SuccessTable:
     return unpack(finds, SUCCESS_COLUMNS, message.columns)
 
 
-ROWS_SCANNED = 1 << 16  # Journal rows read for a page; more where the first success's trials lie farther off
+ROWS_SCANNED = 1 << 16  # Journal rows read for a page; more where trials of the first success lie farther off
 NO_CONTEXT = RowContext()
 
 
@@ -163,37 +118,23 @@ def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT)
     Where a success at the end of the journal may have more trials, the number to read on from is that of the
     first such success; with too few it is given without eta.
     """
-    rows, is_last = _scanned_rows(journal, first, context)
-    is_success = success_mask(rows)
-    numbers, successes = first + np.flatnonzero(is_success), rows[is_success]
-    etas, trials = context.etas(rows)
-    finds = success_table(
-        successes,
+    most, parts = page_limit(journal.shape), [all_successes(journal.shape.empty(0))]
+    for part in find_successes(journal.blocks(first), context.plan, first=first):
+        parts.append(part)
+        if sum(map(len, parts)) > most or (part.stop - first >= ROWS_SCANNED):
+            break
+    found, upto = join_successes(parts), max(first, parts[-1].stop)
+    if len(found) > most:
+        upto = min(upto, int(found.numbers[most]))
+        found = found[:most]
+    etas = context.plan.eta(found.scores) if context.plan.trials else np.full(len(found), np.nan)
+    table = success_table(
+        found.rows,
         journal.shape,
-        number=numbers,
-        synergy=context.synergies.labels(successes["genome"]),
-        pregrasp=context.postures.postures(successes),
-        eta=etas,
-        trials=trials,
+        number=found.numbers,
+        synergy=context.genomes.labels(found.rows["genome"]),
+        pregrasp=context.genomes.postures(found.rows),
+        eta=np.nan_to_num(etas, nan=NO_ETA),
+        trials=found.trials,
     )
-    lacking = numbers[~context.has_all_trials(rows)]
-    upto = int(lacking[0]) if len(lacking) else first + len(rows)
-    if not is_last:
-        finds = finds[finds["number"] < upto]
-    if len(finds) > (most := page_limit(journal.shape)):
-        unknown = finds["number"][finds["eta"] < 0] if context.plan.trials else numbers[:0]
-        return finds[:most], min([int(finds["number"][most]), *unknown.tolist()])
-    return finds, upto
-
-
-def _scanned_rows(journal: Journal, first: int, context: RowContext) -> tuple[Rows, bool]:
-    """Return rows with all trials of the first success, and whether they are the last."""
-    count, span = journal.count, ROWS_SCANNED
-    while True:
-        stop = min(count, first + span)
-        kept = journal.blocks(first, stop) if first < stop else ()
-        rows = np.concatenate([journal.shape.empty(0), *kept])
-        is_last = stop >= count
-        if is_last or context.has_all_trials(rows)[:1].all():
-            return rows, is_last
-        span *= 2
+    return table, upto

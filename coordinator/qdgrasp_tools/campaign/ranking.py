@@ -14,15 +14,8 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_mask,
     settled_poses,
 )
-from qdgrasp_coordinator.metrics.niches import SynergyReader, niches, without_synergy
-from qdgrasp_coordinator.metrics.scores import (
-    TrialPlan,
-    best_first,
-    eta_error,
-    nominal_scores,
-    scored_successes,
-)
-from qdgrasp_coordinator.search.fixed_poses import postures
+from qdgrasp_coordinator.metrics.niches import GenomeReader, niches, without_synergy
+from qdgrasp_coordinator.metrics.successes import TrialPlan, best_first, eta_error
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
@@ -67,9 +60,7 @@ def read_run_grasps(folder: RunFolder) -> Rows:
 
     A grasp survived a nominal disturbance; under a protocol with trials all of its own are recorded.
     """
-    with folder.journal() as journal:
-        found = [journal.shape.empty(0), *scored_successes(journal.blocks(), TrialPlan.of(folder.spec))]
-    rows = np.concatenate(found)
+    rows = folder.successes().scored
     rows["trial"] = 0
     return rows[rows["outcome"] >= Outcome.SHAKEN]
 
@@ -89,7 +80,7 @@ def reachable_grasps(
     scene, poses = folder.scene(), rows["base_to_object"]
     check = ReachabilityCheck.asked(scene, folder.spec, approach_distance, resting_pose)
     if check is not None:
-        starts = postures(scene, prior_of(folder.spec), rows)
+        starts = GenomeReader.of(scene, prior_of(folder.spec)).postures(rows)
         rows = rows[check(poses[:, :3], poses[:, 3:], starts).is_reachable]
     if not len(rows):
         raise InputError(
@@ -102,7 +93,7 @@ def reachable_grasps(
 def best_of_kinds(rows: Rows, most: int, body: SceneObject, kinds: NDArray[np.int64] | None = None) -> Rows:
     """Return the best row of each kind, and of these the `most` best, best first.
 
-    `kinds` (n,) are equal for rows of a kind; None: their 1 cm cells. `scores.best_first` orders rows, by
+    `kinds` (n,) are equal for rows of a kind; None: their 1 cm cells. `best_first` orders rows, by
     margins of their contacts with the object, which take some milliseconds each.
     """
     kinds = cell_keys(cells(rows["descriptor"][:, :3])) if kinds is None else kinds
@@ -117,7 +108,7 @@ def best_of_kinds(rows: Rows, most: int, body: SceneObject, kinds: NDArray[np.in
 
 
 def kinds_of_run(
-    spec: RunSpec, rows: Rows, synergies: SynergyReader, by_niche: bool | None = None
+    spec: RunSpec, rows: Rows, reader: GenomeReader, by_niche: bool | None = None
 ) -> NDArray[np.int64] | None:
     """Return the kinds (n,) of a run's rows for `best_of_kinds`; None: their cells.
 
@@ -126,7 +117,7 @@ def kinds_of_run(
     diversity = spec.diversity or "position"
     if by_niche is False or (by_niche is None and diversity == "position"):
         return None
-    keys = niches(rows, synergies)
+    keys = niches(rows, reader)
     return without_synergy(keys) if by_niche is None and diversity == "orientation" else keys
 
 
@@ -164,11 +155,8 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
         source = msgspec.json.decode(outputs.read(folder.path / SOURCE), type=RankingSource)
     except (msgspec.MsgspecError, RecursionError) as error:
         raise outputs.damaged_file(folder.path / SOURCE, str(error)) from None
-    plan = TrialPlan.of(folder.spec)
-    with folder.journal() as journal:
-        every = journal.rows(0, journal.count)
-    rows, (scores, trials) = every[every["trial"] == 0], nominal_scores(every, plan)
-    etas = plan.eta(scores)
+    found = folder.successes(Outcome.ERROR)
+    rows, trials, etas = found.rows, found.trials, TrialPlan.of(folder.spec).eta(found.scores)
     errors = eta_error(etas, trials)
     settled = np.where(settled_mask(rows)[:, None], settled_poses(rows), np.nan)
     moved, margins = object_motion(rows)[:, 0] / MM, np.full(len(rows), np.nan)

@@ -1,9 +1,10 @@
 """Summary of a run: the figures that `info` prints, counted from its journal."""
 
+import numpy as np
 from msgspec import field, structs
 
-from qdgrasp_coordinator.metrics.run_stats import RunTotals, count_rows
-from qdgrasp_coordinator.metrics.scores import TrialPlan
+from qdgrasp_coordinator.metrics.niches import niches
+from qdgrasp_coordinator.metrics.run_stats import RunCounter, RunTotals
 from qdgrasp_coordinator.metrics.success_metrics import (
     Diversity,
     EtaSummary,
@@ -11,11 +12,12 @@ from qdgrasp_coordinator.metrics.success_metrics import (
     SuccessMetrics,
     diversity,
 )
+from qdgrasp_coordinator.metrics.successes import TrialPlan, find_successes
 from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.report.row_report import empty_niche_archive
+from qdgrasp_tools.report.row_report import genome_reader
 
 FIRST_FIELDS = (
     *("gripper", "object", "scale", "method", "aim_for"),
@@ -100,8 +102,12 @@ def run_summary(folder: RunFolder) -> RunSummary:
     """Count what is in a run's folder, also while the run goes on."""
     spec = folder.spec
     with folder.journal() as journal:
-        metrics, archive = SuccessMetrics(TrialPlan.of(spec)), empty_niche_archive(folder)
-        found = count_rows(spec, metrics.counting(archive.inserting(journal.blocks())))
+        plan, found, reader = TrialPlan.of(spec), RunCounter.of(spec), genome_reader(folder)
+        metrics, keys, outcomes = SuccessMetrics(plan), [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)]
+        for part in find_successes(found.counting(journal.blocks(), spec), plan):
+            metrics.add(part)
+            keys.append(niches(part.rows, reader))
+            outcomes.append(part.rows["outcome"])
         return RunSummary(
             **structs.asdict(found.totals),
             **{name: getattr(spec, name) for name in ("gripper", "object", "method", "protocol", "seed")},
@@ -113,7 +119,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
             overlaps_mode=spec.overlaps,
             budget=spec.evaluations,
             rows=found.rows,
-            diversity=diversity(archive),
+            diversity=diversity(np.concatenate(keys), np.concatenate(outcomes)),
             qd_score=metrics.qd_score,
             success_share=found.successes / found.evaluations if found.evaluations else None,
             mean_fitness=metrics.mean_fitness,

@@ -9,7 +9,7 @@ import typer
 
 from qdgrasp_coordinator.metrics.reference_coverage import coverage as coverage_of
 from qdgrasp_coordinator.metrics.reference_coverage import is_stand_in, read_reference, released_archive
-from qdgrasp_coordinator.metrics.scores import survival
+from qdgrasp_coordinator.metrics.successes import survival
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -262,8 +262,7 @@ def coverage(
     entries = read_reference(reference, object_)
     scene = folder.scene()
     stand_in = is_stand_in(folder.spec.object, entries)
-    with folder.journal() as journal:
-        successes = journal.successes()
+    successes = folder.successes().rows
     positions = successes["base_to_object"][:, :3]
     found = coverage_of(positions, survival(successes), entries, released_archive(scene))
     if as_json:

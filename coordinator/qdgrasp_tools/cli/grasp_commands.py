@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from qdgrasp_coordinator.metrics.scores import TrialPlan
+from qdgrasp_coordinator.metrics.successes import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
 from qdgrasp_coordinator.storage.outputs import OutFile

@@ -39,7 +39,7 @@ from qdgrasp_tools.campaign.warm_start import WarmStart
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import ProgressDisplay, progress_display, progress_messages
 from qdgrasp_tools.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
-from qdgrasp_tools.report.row_report import synergy_reader
+from qdgrasp_tools.report.row_report import genome_reader
 
 
 def run_job(job: JobFolder, config: LocalJobConfig, shown: ProgressDisplay, stop: Stop) -> None:
@@ -262,7 +262,7 @@ def rerank(
     base, engine, ways = keys.pop("base", None), keys.pop("engine", None), keys
     if ways:
         found = ranking.reachable_grasps(source, found, **ways)
-    kinds = ranking.kinds_of_run(source.spec, found, synergy_reader(source), by_niche)
+    kinds = ranking.kinds_of_run(source.spec, found, genome_reader(source), by_niche)
     chosen = ranking.best_of_kinds(found, top, source.scene().object, kinds)
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, trials=trials, **ways)
     listening = ListenConfig(listen, security, insecure)

@@ -19,13 +19,7 @@ from qdgrasp_assets.geometry.rotation import Floats, running_sum
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject, Vector, vector
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, taken_mask, takes_held
-from qdgrasp_coordinator.metrics.scores import (
-    TrialPlan,
-    best_first,
-    eta_bounds,
-    genome_numbers,
-    scored_successes,
-)
+from qdgrasp_coordinator.metrics.successes import TrialPlan, best_first, eta_bounds, find_successes
 from qdgrasp_coordinator.storage.engine_table import TABLE, other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
@@ -94,14 +88,12 @@ class GraspReader:
         self.journal = journal
         self.scene = folder.scene()
         self.spec = folder.spec
+        self._plan = TrialPlan.of(self.spec)
 
     def blocks(self, least: Outcome = Outcome.DROPPED) -> Iterator[Grasps]:
         """Yield those that got as far as `least`, in journal order."""
-        first = 0
-        for block in self.journal.blocks():
-            here = np.flatnonzero((block["trial"] == 0) & (block["outcome"] >= least))
-            yield self._grasps(first + here, take_rows(block, here))
-            first += len(block)
+        for part in find_successes(self.journal.blocks(), self._plan, least=least):
+            yield self._grasps(part.numbers, part.rows, self._etas(part.scores), part.trials)
 
     def at(self, numbers: NDArray[np.int64]) -> Grasps:
         """Read those with these numbers (n,) in the journal, in this order."""
@@ -112,30 +104,33 @@ class GraspReader:
             low, high = np.searchsorted(wanted, (first, first + len(block)))
             parts.append(take_rows(block, wanted[low:high] - first))
             first += len(block)
-        return self._grasps(numbers, take_rows(join_rows(parts), np.argsort(order)))
-
-    def _grasps(self, numbers: NDArray[np.int64], rows: Rows) -> Grasps:
+        rows = take_rows(join_rows(parts), np.argsort(order))
         etas, trials = np.full(len(rows), np.nan), np.zeros(len(rows), np.int64)
-        genomes, known_etas, known_trials = self._known_etas
-        if len(genomes) and len(rows):
-            mine = genome_numbers(rows)
-            places = np.minimum(np.searchsorted(genomes, mine), len(genomes) - 1)
-            is_known = genomes[places] == mine
-            etas[is_known], trials[is_known] = known_etas[places[is_known]], known_trials[places[is_known]]
+        known_numbers, known_etas, known_trials = self._known_etas
+        _, here, there = np.intersect1d(numbers, known_numbers, return_indices=True)
+        etas[here], trials[here] = known_etas[there], known_trials[there]
+        return self._grasps(numbers, rows, etas, trials)
+
+    def _etas(self, scores: Floats) -> Floats:
+        return self._plan.eta(scores) if self._plan.trials else np.full(len(scores), np.nan)
+
+    def _grasps(
+        self, numbers: NDArray[np.int64], rows: Rows, etas: Floats, trials: NDArray[np.int64]
+    ) -> Grasps:
         elsewhere = {name: verdicts(table, numbers, rows["outcome"]) for name, table in self._tables.items()}
         return Grasps(self.scene, self.spec, self.name, numbers, rows, etas, trials, elsewhere, self.approach)
 
     @cached_property
-    def _known_etas(self) -> tuple[NDArray[np.generic], Floats, NDArray[np.generic]]:
-        """The genomes of successes with enough trials, ascending, and their eta and trials (n,)."""
-        plan = TrialPlan.of(self.spec)
-        scored = scored_successes(self.journal.blocks(), plan) if plan.trials else ()
+    def _known_etas(self) -> tuple[NDArray[np.int64], Floats, NDArray[np.int64]]:
+        """The numbers of successes in the journal, ascending, and their eta and trials (n,)."""
+        blocks = self.journal.blocks() if self._plan.trials else ()
+        none = np.zeros(0, np.int64)
         found = [
-            (genome_numbers(rows), plan.eta(rows["fitness"]), rows["trial"])
-            for rows in (self.journal.shape.empty(0), *scored)
+            (part.numbers, self._etas(part.scores), part.trials)
+            for part in find_successes(blocks, self._plan)
         ]
-        genomes, eta, trials = map(np.concatenate, zip(*found, strict=True))
-        return genomes, eta, trials
+        numbers, eta, trials = map(np.concatenate, zip((none, np.zeros(0), none), *found, strict=True))
+        return numbers, eta, trials
 
 
 PART_ROWS = 8192  # Grasps that are in memory at a time, with all their columns

@@ -18,9 +18,10 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_mask,
     settled_poses,
 )
+from qdgrasp_coordinator.metrics.niches import opened
 from qdgrasp_coordinator.metrics.run_stats import outcome_words
-from qdgrasp_coordinator.metrics.scores import eta_error
-from qdgrasp_coordinator.search.fixed_poses import as_given, opened
+from qdgrasp_coordinator.metrics.successes import eta_error
+from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import Verdicts
 from qdgrasp_protocol.engines import ENGINES, engine_names

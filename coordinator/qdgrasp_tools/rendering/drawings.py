@@ -22,13 +22,15 @@ from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.grasp_quality import NOT_SETTLED, settled_mask
-from qdgrasp_coordinator.metrics.scores import ROBUST, survival
+from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
 from qdgrasp_coordinator.metrics.success_metrics import (
     FITNESS_COLOURS,
     FITNESS_WORDS,
-    ArchiveGrowth,
-    archive_growth,
+    StepSeries,
+    cell_growth,
+    step_series,
 )
+from qdgrasp_coordinator.metrics.successes import ROBUST, all_successes, survival
 from qdgrasp_coordinator.storage.outputs import PNG_SIGNATURE
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -94,23 +96,24 @@ def draw_grasps(
     title, and says whether overlaps count as evaluations. The view of the hands is `pixels` wide, the picture
     1.8 times as wide.
     """
-    nominal = rows[rows["trial"] == 0]
-    successes = nominal[nominal["outcome"] >= Outcome.DROPPED]
-    best, grown = best_in_cells(successes), archive_growth(nominal, spec.overlaps if spec else "count")
+    overlaps = spec.overlaps if spec else "count"
+    found, evaluations = all_successes(rows, overlaps=overlaps), int(evaluation_mask(rows, overlaps).sum())
+    successes, grown = found.rows, cell_growth(found)
+    best = best_in_cells(successes)
     side = best_azimuth(scene, successes)
     figure = Figure(figsize=GRASPS_SIZE, dpi=pixels / (GRASPS_SIZE[1] * HANDS_BOX[3]), facecolor="white")
-    _title(figure, scene, spec, _found_in_words(successes, grown))
+    _title(figure, scene, spec, _found_in_words(successes, grown.end, evaluations))
     _draw_hands(figure.add_axes(HANDS_BOX), view_of_hands(scene, successes, side, pixels), successes)
     cells = view_of_cells(scene, best, side, round(pixels * CELLS_BOX[3] / HANDS_BOX[3]))
     _draw_cells(figure.add_axes(CELLS_BOX), cells)
-    _draw_growth(figure.add_axes(GROWTH_BOX), grown)
+    _draw_growth(figure.add_axes(GROWTH_BOX), found.evaluations, grown, evaluations)
     figure.savefig(path, format="png")
 
 
-def _found_in_words(successes: Rows, grown: ArchiveGrowth) -> str:
+def _found_in_words(successes: Rows, n: int, evaluations: int) -> str:
     found = [f"{int((successes['outcome'] >= kind).sum()):,} {word}" for kind, word in OUTCOME_NOUNS.items()]
-    cells = counted(int(grown.cells[-1]), "cell", told="{:,}".format)
-    return f"{grown.evaluations[-1]:,} evaluations  \u2192  {', '.join(found)}; {cells}"
+    cells = counted(n, "cell", told="{:,}".format)
+    return f"{evaluations:,} evaluations  \u2192  {', '.join(found)}; {cells}"
 
 
 def _title(figure: Figure, scene: Scene, spec: RunSpec | None, found: str) -> None:
@@ -151,14 +154,16 @@ def _draw_cells(axes: Axes, view: RenderedView) -> None:
         axes.text(0.045, height, words, color=FAINT, size=12, transform=axes.transAxes, va="center")
 
 
-def _draw_growth(axes: Axes, grown: ArchiveGrowth) -> None:
-    most, end = max(int(grown.successes[-1]), 1), int(grown.evaluations[-1])
-    apart = (grown.successes[-1] - grown.cells[-1]) / most > LABELS_APART
-    lines = (("successes", grown.successes, 0), ("cells", grown.cells, 0 if apart else -34))
-    for word, series, shift in lines:
-        axes.plot(grown.evaluations, series, color=GROWTH_COLOURS[word], linewidth=2.4)
+def _draw_growth(axes: Axes, found: NDArray[np.int64], cells: StepSeries, end: int) -> None:
+    """Draw the growth over `end` evaluations; `found` (n,) are those with a success, in order."""
+    successes = step_series(found, np.ones(len(found), np.int64))
+    most = max(successes.end, 1)
+    apart = (successes.end - cells.end) / most > LABELS_APART
+    for word, series, shift in (("successes", successes, 0), ("cells", cells, 0 if apart else -34)):
+        places, values = np.r_[0, series.evaluations, end], np.r_[0, series.totals, series.end]
+        axes.plot(places, values, color=GROWTH_COLOURS[word], linewidth=2.4, drawstyle="steps-post")
         axes.annotate(
-            f"{series[-1]:,}\n{word}", (end, int(series[-1])), (8, shift), textcoords="offset points",
+            f"{series.end:,}\n{word}", (end, series.end), (8, shift), textcoords="offset points",
             color=GROWTH_COLOURS[word], size=12, weight="bold", va="center", annotation_clip=False,
         )  # fmt: skip
     axes.set(xlim=(0, max(end, 1)), ylim=(0, 1.04 * most))

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.search.fixed_poses import postures
+from qdgrasp_coordinator.metrics.niches import GenomeReader
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import parse_numbers
@@ -40,7 +40,7 @@ class TablePlane:
             poses = part["base_to_object"].astype(np.float64)
             lows = [
                 hand.lowest_points(poses, joints.astype(np.float64), self.up)
-                for joints in (postures(scene, prior, part), part["joints"])
+                for joints in (GenomeReader.of(scene, prior).postures(part), part["joints"])
             ]
             clear[first : first + ROWS_AT_ONCE] = np.min(lows, axis=0) >= self.height
         return clear

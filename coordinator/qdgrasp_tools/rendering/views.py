@@ -18,7 +18,7 @@ from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cell_keys, cells
 from qdgrasp_coordinator.metrics.grasp_quality import settled_poses
-from qdgrasp_coordinator.metrics.scores import survival
+from qdgrasp_coordinator.metrics.successes import survival
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_tools.rendering.ray_renderer import (
     RAYS_PER_PIXEL,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.metrics.scores import ROBUST, TrialPlan, scored_successes, survival
-from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS_WORDS
+from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS_WORDS, NU_BINS
+from qdgrasp_coordinator.metrics.successes import ROBUST, TrialPlan, survival
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted
@@ -47,7 +47,7 @@ from qdgrasp_tools.report.run_groups import (
     mean_interval,
     sample_end,
 )
-from qdgrasp_tools.report.run_history import NU_BINS, RunHistory
+from qdgrasp_tools.report.run_history import RunHistory
 
 BAND_OPACITY = 0.13  # Opacity of an interquartile range
 CURVE_COLUMNS = 2  # Panels side by side: the paper's arrangement
@@ -160,11 +160,11 @@ def nu_distributions(groups: Sequence[RunGroup]) -> list[NuDistribution]:
         arms: dict[MethodVariant, list[RunHistory]] = {}
         for group in here:
             if default_prior(group.method) == NU_PRIOR:
-                arms.setdefault(group.arm, []).extend(run for run in group.finished_runs if run.nu.any())
+                arms.setdefault(group.arm, []).extend(run for run in group.finished_runs if sum(run.nu.bins))
         for arm, runs in arms.items():
             if runs:
-                share = np.mean([run.nu / run.nu.sum() for run in runs], axis=0)
-                near = tuple(run.near_share or 0.0 for run in runs)
+                share = np.mean([np.array(run.nu.bins) / sum(run.nu.bins) for run in runs], axis=0)
+                near = tuple(run.nu.below_quarter_pi or 0.0 for run in runs)
                 found.append(NuDistribution(scene.gripper, *arm, share, near))
     return found
 
@@ -276,9 +276,7 @@ def _median_run(group: RunGroup) -> RunHistory:
 
 def _voxels_of_run(name: SceneName, run: RunHistory) -> RunVoxels:
     folder, plan = RunFolder(run.path), TrialPlan.of(run.spec)
-    with folder.journal() as journal:
-        found = np.concatenate([journal.shape.empty(0), *scored_successes(journal.blocks(), plan)])
-    best = best_in_cells(found)
+    best = best_in_cells(folder.successes().scored)
     return RunVoxels(name, run, folder.scene(), best, plan.eta(best["fitness"]) if plan.trials else None)
 
 

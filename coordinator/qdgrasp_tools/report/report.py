@@ -185,7 +185,7 @@ def _run_columns(run: RunHistory) -> dict[str, Value]:
         "coverage": run.found.end / size if run.found and size else None,
         "published_coverage": run.published.end / size if run.published and size else None,
         "robust_coverage": run.robust_found.end / robust if run.robust_found and robust else None,
-        "nu_below_quarter_pi": run.near_share,
+        "nu_below_quarter_pi": run.nu.below_quarter_pi,
         "eta": run.eta.mean if run.eta else None,
         "trials_per_success": run.eta.trials if run.eta else None,
         "cpu_seconds": run.cpu_seconds,

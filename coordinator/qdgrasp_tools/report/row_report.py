@@ -13,21 +13,20 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import layout
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, recorded_margins
-from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, NicheArchive, SynergyReader, synergies
+from qdgrasp_coordinator.metrics.niches import UNKNOWN_GENOMES, GenomeReader
 from qdgrasp_coordinator.metrics.run_stats import success_mask
-from qdgrasp_coordinator.metrics.scores import TrialPlan, eta_error
+from qdgrasp_coordinator.metrics.successes import TrialPlan, eta_error
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
-from qdgrasp_coordinator.storage.success_pages import UNKNOWN_POSTURES, PostureReader, RowContext
+from qdgrasp_coordinator.storage.success_pages import RowContext
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import CONTACT_VALUES, GIVEN, Outcome
+from qdgrasp_protocol.rows import CONTACT_VALUES, Outcome
 
 MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
 ContextKey = tuple[Path, float, str]
@@ -55,9 +54,7 @@ class RowContextCache:
 
 def row_context(folder: RunFolder, journal: Journal) -> RowContext:
     """Make the context of a run's journal; without its scene it names no synergies."""
-    spec, known = folder.spec, folder.has_bundle()
-    postures = PostureReader.of(folder.scene(), prior_of(spec)) if known else UNKNOWN_POSTURES
-    return RowContext(TrialPlan.of(spec), synergy_reader(folder), postures)
+    return RowContext(TrialPlan.of(folder.spec), genome_reader(folder))
 
 
 ROWS_READ_AT_ONCE = 1 << 16
@@ -303,7 +300,7 @@ def _row_fields(row: np.void, scene: Scene, prior: str) -> dict[str, object]:
     outcome, is_aimed = Outcome(row["outcome"]), bool(row["surface_point"].any())
     pose, label = (
         _pose(row["base_to_object"], scene.gripper),
-        int(synergies(scene, prior).labels(row["genome"][None])[0]),
+        int(GenomeReader.of(scene, prior).labels(row["genome"][None])[0]),
     )
     plain = ("generation", "index", "trial", "fitness", "descriptor", "contacts", "penetration")
     return {name: row[name].tolist() for name in plain} | {
@@ -387,11 +384,9 @@ def _joints(row: np.void, gripper: SceneGripper) -> Iterator[JointPosition]:
 
 
 def _gene_values(row: np.void, scene: Scene, prior: str) -> Iterator[GeneValue]:
-    """Yield the genes; a merged journal may have zeros behind them."""
-    known = layout(scene, prior)
-    genes = row["genome"][None, : len(known)]
-    values = genes if prior == GIVEN else known.values(genes)
-    for name, gene, value in zip(known.names, genes[0].tolist(), values[0].tolist(), strict=True):
+    known = GenomeReader.of(scene, prior)
+    (values,) = known.values(row["genome"][None]).tolist()
+    for name, gene, value in zip(known.layout.names, row["genome"].tolist(), values, strict=False):
         yield GeneValue(name=name, gene=gene, value=value)
 
 
@@ -414,12 +409,6 @@ def _numbers(values: tuple[float, ...]) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-def synergy_reader(folder: RunFolder) -> SynergyReader:
-    """Return the reader of synergies in a run's genomes; without its scene all are one."""
-    known = folder.has_bundle()
-    return synergies(folder.scene(), prior_of(folder.spec)) if known else UNKNOWN_SYNERGIES
-
-
-def empty_niche_archive(folder: RunFolder) -> NicheArchive:
-    """Return an empty archive for the rows of a run."""
-    return NicheArchive(synergy_reader(folder))
+def genome_reader(folder: RunFolder) -> GenomeReader:
+    """Return the reader of a run's genomes; without its scene all synergies are one."""
+    return GenomeReader.of(folder.scene(), prior_of(folder.spec)) if folder.has_bundle() else UNKNOWN_GENOMES

@@ -3,31 +3,28 @@
 Nominal rows are counted; a success's randomised trials give its eta and nothing else.
 """
 
-import math
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget
-from qdgrasp_coordinator.metrics.run_stats import RunCounter, count_rows, evaluation_mask
-from qdgrasp_coordinator.metrics.scores import TrialPlan
+from qdgrasp_coordinator.metrics.run_stats import RunCounter
 from qdgrasp_coordinator.metrics.success_metrics import (
-    NEAR_NU,
     EtaSummary,
+    NuSummary,
     StepSeries,
-    SuccessHistory,
     SuccessMetrics,
-    join_histories,
+    cell_growth,
+    reference_growth,
+    released_growth,
 )
-from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.metrics.successes import TrialPlan, find_successes, join_successes
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import RunSpec
-
-NU_BINS = 24  # Bins of nu from 0 to pi, 7.5 degrees each: six of them reach to pi / 4
 
 
 @dataclass(frozen=True)
@@ -50,10 +47,7 @@ class RunHistory:
     published: StepSeries | None
     """Entries as the released code counts them; None for a hand that it does not have."""
     qd_score: float
-    nu: NDArray[np.int64]
-    """(24,): successes by nu, from 0 to pi."""
-    near: int
-    """Successes with nu below pi / 4."""
+    nu: NuSummary
     eta: EtaSummary | None
     """Eta of the successes whose trials are recorded; None where the protocol has none."""
     cpu_seconds: float
@@ -78,44 +72,32 @@ class RunHistory:
         """Number of success cells after so many evaluations."""
         return self.cells.after(evaluations).astype(np.float64)
 
-    @property
-    def near_share(self) -> float | None:
-        """Share of successes with nu below pi / 4; None without a success that has a nu."""
-        aimed = int(self.nu.sum())
-        return self.near / aimed if aimed else None
-
 
 def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
     """Read what a run found, also while it goes on; FolderError if its journal cannot be read."""
     spec = folder.spec
     with folder.journal() as journal:
-        metrics = SuccessMetrics(TrialPlan.of(spec))
-        found: list[SuccessHistory] = []
-        counts = count_rows(spec, metrics.counting(_collect_successes(journal, spec, found)))
-        history, cpu_seconds = join_histories(found, journal.shape.empty(0)), journal.cpu_seconds
+        plan, counts = TrialPlan.of(spec), RunCounter.of(spec)
+        blocks = counts.counting(chain([journal.shape.empty(0)], journal.blocks()), spec)
+        found, cpu_seconds = (
+            join_successes([*find_successes(blocks, plan, spec.overlaps)]),
+            journal.cpu_seconds,
+        )
+    metrics = SuccessMetrics(plan)
+    metrics.add(found)
     known, archive = target.reference, target.archive
     return RunHistory(
         path=folder.path,
         spec=spec,
         target=target,
         counts=counts,
-        cells=history.cells(),
-        robust_cells=history.cells(Outcome.HELD),
-        found=None if known is None else history.found(known),
-        robust_found=None if known is None else history.found(known.robust, Outcome.HELD),
-        published=None if known is None or archive is None else history.published(known, archive),
+        cells=cell_growth(found),
+        robust_cells=cell_growth(found, Outcome.HELD),
+        found=None if known is None else reference_growth(found, known),
+        robust_found=None if known is None else reference_growth(found, known.robust, Outcome.HELD),
+        published=None if known is None or archive is None else released_growth(found, known, archive),
         qd_score=metrics.qd_score,
-        nu=np.histogram(history.nu, bins=NU_BINS, range=(0.0, math.pi))[0],
-        near=int(np.count_nonzero(history.nu < NEAR_NU)),
+        nu=metrics.nu,
         eta=metrics.eta,
         cpu_seconds=cpu_seconds,
     )
-
-
-def _collect_successes(journal: Journal, spec: RunSpec, found: list[SuccessHistory]) -> Iterator[Rows]:
-    """Yield the rows of a journal in blocks; the successes in each are added as it passes."""
-    before = 0
-    for block in journal.blocks():
-        found.append(SuccessHistory.among(block, spec.overlaps, before))
-        before += int(evaluation_mask(block, spec.overlaps).sum())
-        yield block

@@ -298,27 +298,25 @@ def compare_engine(
     values = to_values(folder.spec) | {"engine": engine, "protocol": folder.spec.nominal_protocol}
     spec = run_spec({key: value for key, value in values.items() if key not in OF_TRIALS}, "verify")
     check_engines([spec])
-    with folder.journal() as journal:
-        rows = np.concatenate([journal.shape.empty(0), *journal.blocks()])
-    places = np.flatnonzero((rows["outcome"] >= Outcome.DROPPED) & (rows["trial"] == 0))
-    if not len(places):
+    found = folder.successes()
+    if not len(found):
         raise InputError(f"{folder.path} has no success that could be simulated in {engine}.")
     check_table(folder, engine)
     random = np.random.default_rng(seed)
-    places = places[balanced_sample(rows["outcome"][places], most or len(places), random)]
+    found = found[balanced_sample(found.rows["outcome"], most or len(found), random)]
     scene = structs.replace(folder.scene(), engine=spec.engine, protocol=spec.protocol, base=spec.base)
     if scene.engine:
         check_convex(scene.gripper)
-    genomes = as_given(scene, prior_of(folder.spec), rows[places])
+    genomes = as_given(scene, prior_of(folder.spec), found.rows)
     plan = plan_genomes(spec, PreparedScene(scene, pack_scene(scene)), GIVEN, genomes)
     memory = MemorySink(plan.shape)
-    queue = SingleRunQueue(lambda: plan, len(places))
+    queue = SingleRunQueue(lambda: plan, len(found))
     run_temporary_job(VERIFICATION_JOB, queue, lambda _: memory, config, display, stop)
     if stop.is_set:
         return None
     judged = memory.rows["outcome"] != Outcome.ERROR
     if not judged.any():
         raise InputError(f"{engine} failed on every success of {folder.path}; `qdgrasp run` in it tells why.")
-    recorded, now = rows[places[judged]], memory.rows[judged]
-    table = write_table(folder, engine, places[judged], recorded, now)
+    recorded, now = found.rows[judged], memory.rows[judged]
+    table = write_table(folder, engine, found.numbers[judged], recorded, now)
     return EngineComparison.of(engine, recorded, now, failed=int((~judged).sum()), file=table)

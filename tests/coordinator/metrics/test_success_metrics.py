@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from qdgrasp_coordinator.metrics.cells import MIDDLES
-from qdgrasp_coordinator.metrics.niches import NicheArchive, SynergyReader
-from qdgrasp_coordinator.metrics.scores import TrialPlan
+from qdgrasp_coordinator.metrics.niches import GenomeReader, niches
 from qdgrasp_coordinator.metrics.success_metrics import (
     SuccessMetrics,
-    archive_growth,
+    cell_growth,
     diversity,
 )
+from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes, find_successes
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 
 SHAPE = RowShape(genes=2, joints=1)
@@ -25,9 +25,13 @@ def rows(*outcomes: Outcome) -> Rows:
 
 
 def counted(*blocks: Rows) -> SuccessMetrics:
-    metrics = SuccessMetrics()
-    for block in blocks:
-        metrics.count(block)
+    return counted_with(TrialPlan(), *blocks)
+
+
+def counted_with(plan: TrialPlan, *blocks: Rows) -> SuccessMetrics:
+    metrics = SuccessMetrics(plan)
+    for part in find_successes(blocks, plan):
+        metrics.add(part)
     return metrics
 
 
@@ -46,11 +50,11 @@ def test_the_qd_score_takes_the_best_fitness_of_each_cell_once() -> None:
     assert counted(found, found[::-1]).qd_score == 3
 
 
-def test_nu_from_0_to_pi_falls_into_18_bins_with_both_ends() -> None:
+def test_nu_from_0_to_pi_falls_into_24_bins_with_both_ends() -> None:
     found = rows(*[Outcome.DROPPED] * 4)
     found["nu"] = [0.0, math.pi, math.pi / 4 - 1e-3, math.pi / 4 + 1e-3]  # float32 pi is beyond pi
     lean = counted(found).nu
-    assert (lean.bins[0], lean.bins[4], lean.bins[17], sum(lean.bins)) == (1, 2, 1, 4)
+    assert (lean.bins[0], lean.bins[5], lean.bins[6], lean.bins[23], sum(lean.bins)) == (1, 1, 1, 1, 4)
     assert lean.below_quarter_pi == 0.5
 
 
@@ -65,9 +69,7 @@ def test_successes_that_aim_at_no_surface_point_have_no_nu() -> None:
 @pytest.mark.parametrize("size", [1, 7, 100])
 def test_blocks_of_any_length_add_up_to_the_same(size: int) -> None:
     every = random_rows(400)
-    whole, parts = counted(every), SuccessMetrics()
-    passed = list(parts.counting(every[first : first + size] for first in range(0, 400, size)))
-    assert np.concatenate(passed).tobytes() == every.tobytes()
+    whole, parts = counted(every), counted(*(every[first : first + size] for first in range(0, 400, size)))
     assert (parts.qd_score, parts.mean_fitness, parts.nu) == (whole.qd_score, whole.mean_fitness, whole.nu)
     assert whole.qd_score > 50
 
@@ -84,8 +86,7 @@ def with_trials(*sums: int, trials: int = 10) -> Rows:
 
 
 def test_with_trials_fitness_is_the_sum_over_them() -> None:
-    metrics = SuccessMetrics(TrialPlan(10))
-    metrics.count(with_trials(0, 7, 20, 13))
+    metrics = counted_with(TrialPlan(10), with_trials(0, 7, 20, 13))
     assert metrics.qd_score == 7 + 20
     assert metrics.mean_fitness == 10
     assert metrics.eta is not None
@@ -94,16 +95,14 @@ def test_with_trials_fitness_is_the_sum_over_them() -> None:
 
 
 def test_a_success_counts_once_its_trials_are_recorded() -> None:
-    metrics = SuccessMetrics(TrialPlan(10))
     journal = with_trials(4, 16)
-    metrics.count(journal[:15])
-    assert (metrics.successes, metrics.mean_fitness, metrics.qd_score) == (2, 4, 4)
-    metrics.count(journal[15:])
-    assert (metrics.successes, metrics.mean_fitness, metrics.qd_score) == (2, 10, 16)
+    for known, fitness, score in ((15, 4, 4), (22, 10, 16)):
+        metrics = counted_with(TrialPlan(10), journal[:known])
+        assert (metrics.mean_fitness, metrics.qd_score) == (fitness, score)
 
 
 NARROW_SHAPE = RowShape(genes=1, joints=1)
-TWO = SynergyReader(Layout("contact", (Gene("synergy", 0.0, 1.0),)))
+TWO = GenomeReader(Layout("contact", (Gene("synergy", 0.0, 1.0),)))
 
 
 def closed_rows(*cells: int) -> Rows:
@@ -113,17 +112,11 @@ def closed_rows(*cells: int) -> Rows:
     return made
 
 
-def archive(found: Rows, synergies: SynergyReader = TWO) -> NicheArchive:
-    made = NicheArchive(synergies)
-    made.insert(found)
-    return made
-
-
 def test_orientations_and_synergies_are_counted_in_the_cells_with_a_success() -> None:
     found = closed_rows(0, 0, 0, 0, 1)
     found["base_to_object"][1:3, 3:] = MIDDLES[[4, 5]]
     found["genome"][2:4, 0] = 1.0
-    said = diversity(archive(found))
+    said = diversity(niches(found, TWO), found["outcome"])
     assert said.niches == 5
     assert said.orientations == (3 + 1) / 2
     assert said.synergies == (2 + 1) / 2
@@ -135,7 +128,8 @@ def test_successes_and_their_cells_are_counted_along_the_nominal_rows() -> None:
     rows["outcome"][[0, 2, 4]] = Outcome.MISSED, Outcome.DROPPED, Outcome.OVERLAP
     rows["descriptor"][:, 0] = [0.05, 0.01, 0.012, 0.03, 0.07, 0.09]
     rows["trial"] = [0, 0, 0, 0, 0, 1]
-    found = archive_growth(rows)
-    assert found.evaluations.tolist() == [0, 1, 2, 3, 4, 5, 5]
-    assert found.successes.tolist() == [0, 0, 1, 2, 3, 3, 3]
-    assert found.cells.tolist() == [0, 0, 1, 1, 2, 2, 2]
+    found = all_successes(rows)
+    assert found.numbers.tolist() == [1, 2, 3]
+    assert found.evaluations.tolist() == [2, 3, 4]
+    grown = cell_growth(found)
+    assert (grown.evaluations.tolist(), grown.totals.tolist()) == ([2, 4], [1, 2])

@@ -7,9 +7,10 @@ from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
-from qdgrasp_coordinator.metrics.scores import TrialPlan
+from qdgrasp_coordinator.metrics.niches import GenomeReader
+from qdgrasp_coordinator.metrics.successes import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
-from qdgrasp_coordinator.search.fixed_poses import as_given, postures, read_poses, scores, write_scores
+from qdgrasp_coordinator.search.fixed_poses import as_given, read_poses, scores, write_scores
 from qdgrasp_coordinator.search.registry import METHODS, check_spec, method
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import GIVEN, Outcome, RowShape
@@ -154,7 +155,7 @@ def test_rows_as_given_poses_decode_to_the_very_same_grasps(hand: str, prior: st
         rows = RowShape(genomes.shape[1], len(scene.gripper.joints)).empty(200)
         rows["genome"] = genomes
         rows["base_to_object"] = np.hstack([expected.positions, expected.quaternions])
-        assert postures(scene, known, rows).tobytes() == expected.joints.tobytes()
+        assert GenomeReader.of(scene, known).postures(rows).tobytes() == expected.joints.tobytes()
         genomes = as_given(scene, known, rows)
         found = Decoder(scene, GIVEN, surface)(genomes)
         for column in ("positions", "quaternions", "joints", "synergies"):

@@ -103,15 +103,6 @@ def test_the_digest_changes_with_any_bit_of_any_column(tmp_path: Path) -> None:
     assert len(digests) == 1 + len(offsets)
 
 
-def test_every_success_is_kept_with_fitness_zero_too(tmp_path: Path) -> None:
-    rows = make_rows(300)
-    record(tmp_path, rows, [100, 200])
-    expected = rows[rows["outcome"] >= Outcome.DROPPED]
-    assert (expected["fitness"] == 0).any()
-    with Journal.open(tmp_path) as journal:
-        assert journal.successes().tobytes() == expected.tobytes()
-
-
 def test_the_table_of_successes_says_what_the_rows_say(tmp_path: Path) -> None:
     rows = make_rows(300)
     record(tmp_path, rows, [100, 200])
@@ -133,9 +124,6 @@ def test_trials_are_rows_and_no_successes_of_their_own(tmp_path: Path) -> None:
     rows["outcome"] = Outcome.HELD
     rows["trial"] = np.arange(60) % 3
     record(tmp_path, rows, [25, 35])
-    with Journal.open(tmp_path) as journal:
-        assert journal.successes().tobytes() == rows[::3].tobytes()
-        assert journal.count == 60
     with sqlite3.connect(tmp_path / JOURNAL) as database:
         assert database.execute("SELECT row FROM successes ORDER BY row").fetchall() == [
             (row,) for row in range(0, 60, 3)
@@ -246,7 +234,6 @@ def test_the_journal_of_a_run_that_has_not_begun_is_empty() -> None:
     with Journal.empty(IDENTITY) as journal:
         assert (journal.count, journal.cpu_seconds, journal.wall_seconds, journal.platform) == (0, 0, 0, {})
         assert list(journal.blocks()) == []
-        assert len(journal.successes()) == 0
         assert journal.spec == SPEC
 
 
@@ -370,7 +357,7 @@ def test_a_closed_journal_is_not_said_to_be_damaged(tmp_path: Path) -> None:
     with Journal.open(tmp_path) as journal:
         pass
     with pytest.raises(sqlite3.ProgrammingError, match="closed"):
-        journal.successes()
+        list(journal.blocks())
 
 
 def ten_rows() -> JournalSlice:

@@ -7,7 +7,7 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows, record
 
 from qdgrasp_coordinator.metrics.run_stats import success_mask
-from qdgrasp_coordinator.metrics.scores import TrialPlan
+from qdgrasp_coordinator.metrics.successes import TrialPlan
 from qdgrasp_coordinator.storage import success_pages
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import NO_ETA, RowContext, success_page
@@ -91,10 +91,3 @@ def test_successes_that_lack_trials_are_told_without_eta_and_are_to_be_read_agai
     expected = etas(short)
     assert found == pytest.approx(expected)
     assert upto == min(number for number, eta in expected.items() if eta == NO_ETA)
-
-
-def test_genomes_of_several_sources_that_have_the_same_place_are_told_apart(tmp_path, make_scene) -> None:
-    parts = [with_trials(random_rows(20, seed), seed) for seed in (3, 4)]
-    found, _ = told(record(tmp_path / "joined", make_scene(), np.concatenate(parts)))
-    first, second = (etas(part) for part in parts)
-    assert found == pytest.approx(first | {len(parts[0]) + number: eta for number, eta in second.items()})

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from tests.coordinator.recorded_runs import record_spec
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.metrics import scores
+from qdgrasp_coordinator.metrics import successes
 from qdgrasp_coordinator.metrics.cells import MIDDLES, cell_keys, cells
-from qdgrasp_coordinator.metrics.niches import UNKNOWN_SYNERGIES, SynergyReader, niches
+from qdgrasp_coordinator.metrics.niches import UNKNOWN_GENOMES, GenomeReader, niches
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
@@ -74,7 +74,7 @@ def test_of_equal_fitness_the_greater_margin_is_better_whatever_the_penetration(
         asked.extend(rows["index"].tolist())
         return np.array([0.02, np.nan, 0.0, 0.03])[rows["index"]]
 
-    monkeypatch.setattr(scores, "recorded_margins", margins)
+    monkeypatch.setattr(successes, "recorded_margins", margins)
     found = rows(*[Outcome.HELD] * 3, Outcome.SHAKEN)
     found["penetration"] = [0.003, 0.001, 0.002, 0.0]
     assert best_of_kinds(found, 3, BODY)["index"].tolist() == [0, 2, 1]
@@ -101,7 +101,7 @@ def test_the_best_of_each_niche_are_taken_where_that_is_asked_for() -> None:
     found["descriptor"], found["base_to_object"][:, 3:] = 0, MIDDLES[[0, 1, 0, 1]]
     found["penetration"] = [0.002, 0.001, 0.001, 0.002]
     assert best_of_kinds(found, 4, BODY)["index"].tolist() == [1]
-    assert best_of_kinds(found, 4, BODY, niches(found, UNKNOWN_SYNERGIES))["index"].tolist() == [1, 2]
+    assert best_of_kinds(found, 4, BODY, niches(found, UNKNOWN_GENOMES))["index"].tolist() == [1, 2]
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_the_best_of_each_niche_are_taken_where_that_is_asked_for() -> None:
 def test_grasps_are_told_apart_as_the_search_did_or_as_is_asked(diversity, by_niche, chosen) -> None:
     found = rows(*[Outcome.HELD] * 3)
     found["descriptor"], found["base_to_object"][:, 3:] = 0, MIDDLES[[0, 1, 0]]
-    reader = SynergyReader(Layout("given", (Gene("synergy", 0.0, 3.0),)))
+    reader = GenomeReader(Layout("given", (Gene("synergy", 0.0, 3.0),)))
     found["genome"][:, 0] = [0.0, 0.0, 2.0]
     asked = RunSpec(gripper="hand", object="thing", diversity=diversity)
     kinds = kinds_of_run(asked, found, reader, by_niche)

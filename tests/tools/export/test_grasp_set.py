@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 from tests.tools.export.conftest import COM, MakeRun
 
-from qdgrasp_coordinator.metrics import scores
+from qdgrasp_coordinator.metrics import successes
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.export.grasp_reader import join_grasps, read_run, select_grasps, spread_places
@@ -73,7 +73,7 @@ def test_those_that_are_good_enough_are_taken_in_their_order(grasps, least, expe
 
 
 def test_the_best_come_first(grasps: Grasps, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scores, "recorded_margins", lambda rows, body: rows["penetration"])
+    monkeypatch.setattr(successes, "recorded_margins", lambda rows, body: rows["penetration"])
     chosen = select_grasps(grasps, top=50)
     robust = grasps[grasps.fitness == 2]
     assert len(chosen) == 50

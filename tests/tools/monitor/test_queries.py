@@ -100,7 +100,7 @@ def all_finds(network: MemoryNetwork, run: str = "run") -> tuple[list[int], int]
 
 
 def test_every_success_is_shown_once_and_by_its_number(network, coordinator, path, monkeypatch) -> None:
-    monkeypatch.setattr(success_pages, "ROWS_SCANNED", 70)
+    monkeypatch.setattr(success_pages, "page_limit", lambda shape: 1 + len(FOUND) // 6)
     with recording(network, path):
         coordinator.open()
         assert all_finds(network) == ([], 1)

@@ -13,7 +13,7 @@ from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.tools.report.test_row_report import OUTCOMES, run_of, run_of_synergies
 
-from qdgrasp_coordinator.metrics.niches import synergies
+from qdgrasp_coordinator.metrics.niches import GenomeReader
 from qdgrasp_coordinator.metrics.run_stats import count_rows, successes
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -122,7 +122,7 @@ def test_the_synergy_of_each_success_comes_along(tmp_path: Path, network: Memory
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
         both = FolderRecords(FolderIndex([folder.path])), BusRecords(ours)
         told = [records.page("mug", "run", 0).found["synergy"].tolist() for records in both]
-    assert told[0] == told[1] == synergies(folder.scene(), "spherical").labels(rows["genome"]).tolist()
+    assert told[0] == told[1] == GenomeReader.of(folder.scene(), "spherical").labels(rows["genome"]).tolist()
     assert len(set(told[0])) == 3
 
 

@@ -5,18 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 from tests.common import with_gripper
 from tests.coordinator.recorded_runs import record, reshape_rows
 from tests.coordinator.scenes import JAW, made_scene
 
-from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
-from qdgrasp_coordinator.metrics.niches import synergies
-from qdgrasp_coordinator.search.fixed_poses import postures
+from qdgrasp_coordinator.metrics.niches import GenomeReader
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_coordinator.storage.success_pages import PostureReader
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_tools.report.row_report import NoSuchRow, RowContextCache, row_context, row_report
 
@@ -41,23 +37,13 @@ def run_of_synergies(path: Path, method: str = "me_scs", seed: int = 1) -> tuple
 def labels(folder: RunFolder) -> list[int]:
     with folder.journal() as journal:
         rows = np.concatenate(list(journal.blocks()))
-        return row_context(folder, journal).synergies.labels(rows["genome"]).tolist()
+        return row_context(folder, journal).genomes.labels(rows["genome"]).tolist()
 
 
 def test_a_run_names_synergies_as_its_prior_does(tmp_path: Path) -> None:
     folder, rows = run_of_synergies(tmp_path / "mug")
-    assert labels(folder) == synergies(CLOSING, "spherical").labels(rows["genome"]).tolist()
+    assert labels(folder) == GenomeReader.of(CLOSING, "spherical").labels(rows["genome"]).tolist()
     assert len(set(labels(folder))) == 3
-
-
-@pytest.mark.parametrize("prior", ["contact", "approach", "given"])
-def test_the_joints_that_a_hand_starts_from_are_read_from_its_genome(prior: str) -> None:
-    scene = replace(made_scene(), gripper=find_gripper("barrett").on_carrier("paper"))
-    rows = RowShape(len(layout(scene, prior)) + 2, len(scene.gripper.joints)).empty(9)
-    rows["genome"] = np.random.default_rng(3).uniform(-1, 1, rows["genome"].shape)
-    starts = PostureReader.of(scene, prior).postures(rows)
-    assert np.array_equal(starts, postures(scene, prior, rows))
-    assert len(np.unique(starts, axis=0)) == len(rows)
 
 
 def test_a_legend_is_read_once(tmp_path: Path) -> None:
@@ -71,7 +57,7 @@ def test_before_the_scene_is_there_no_synergy_is_named(tmp_path: Path) -> None:
     folder, rows = run_of_synergies(tmp_path / "mug")
     (folder.path / "scene.bundle").unlink()
     with folder.journal() as journal:
-        found = RowContextCache().get(folder, journal).synergies.labels(rows["genome"])
+        found = RowContextCache().get(folder, journal).genomes.labels(rows["genome"])
     assert set(found.tolist()) == {-1}
 
 

@@ -13,7 +13,8 @@ from qdgrasp_coordinator.metrics.reference_coverage import (
     ReleasedArchive,
     coverage,
 )
-from qdgrasp_coordinator.metrics.success_metrics import StepSeries, SuccessHistory
+from qdgrasp_coordinator.metrics.success_metrics import StepSeries, reference_growth, released_growth
+from qdgrasp_coordinator.metrics.successes import Successes, all_successes
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_tools.report.run_history import RunHistory, read_history
 
@@ -28,21 +29,8 @@ def told(tmp_path: Path, rows: Rows, **settings: object) -> RunHistory:
     return read_history(folder, CoverageTarget(KNOWN, ARCHIVE))
 
 
-def finds(rows: Rows) -> SuccessHistory:
-    success = rows["outcome"] >= Outcome.DROPPED
-    return SuccessHistory(rows[success], 1 + np.flatnonzero(success))
-
-
-def test_finds_are_nominal_successes_numbered_by_the_evaluations_that_count() -> None:
-    rows = random_rows(200, seed=5)
-    rows["trial"][::3] = 1
-    counts = (rows["trial"] == 0) & (rows["outcome"] > Outcome.OVERLAP)
-    found = SuccessHistory.among(rows, "redraw", before=1000)
-    expected = rows[(rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)]
-    assert found.rows.tobytes() == expected.tobytes()
-    assert found.evaluations[-1] <= 1000 + counts.sum()
-    later = SuccessHistory.among(rows[80:], "redraw", before=1000 + int(counts[:80].sum()))
-    assert found.evaluations[-len(later.rows) :].tolist() == later.evaluations.tolist()
+def finds(rows: Rows) -> Successes:
+    return all_successes(rows)
 
 
 def at_once(rows: Rows) -> tuple[object, ...]:
@@ -62,14 +50,18 @@ def test_a_number_holds_from_the_evaluation_at_which_it_changes() -> None:
 def test_a_curve_is_at_each_place_what_coverage_says_of_the_rows_up_to_there(n: int) -> None:
     rows = random_rows(600, seed=3, reach=0.05)
     whole = finds(rows)
-    curves = (whole.found(KNOWN), whole.found(KNOWN.robust, Outcome.HELD), whole.published(KNOWN, ARCHIVE))
+    curves = (
+        reference_growth(whole, KNOWN),
+        reference_growth(whole, KNOWN.robust, Outcome.HELD),
+        released_growth(whole, KNOWN, ARCHIVE),
+    )
     assert tuple(int(curve.after(n)) for curve in curves) == at_once(rows[:n])
 
 
 @given(st.integers(0, 2**16), st.integers(0, 60))
 def test_the_count_as_published_is_the_released_archive_s_at_any_time(seed: int, n: int) -> None:
     rows = random_rows(60, seed, reach=0.02)
-    assert int(finds(rows).published(KNOWN, ARCHIVE).after(n)) == at_once(rows[:n])[2]
+    assert int(released_growth(finds(rows), KNOWN, ARCHIVE).after(n)) == at_once(rows[:n])[2]
 
 
 def test_overlaps_are_no_evaluations_where_they_are_redrawn(tmp_path: Path) -> None:
@@ -83,10 +75,15 @@ def test_nu_that_rounds_beyond_the_end_of_a_prior_is_still_within(tmp_path: Path
     rows = random_rows(4)
     rows["outcome"], rows["nu"] = Outcome.HELD, [0.0, np.pi / 4, np.pi / 4 + 1e-3, np.pi]
     found = told(tmp_path, rows)
-    assert (found.near, found.near_share) == (2, 0.5)
-    assert (found.nu[:6].sum(), found.nu[23], found.nu.sum()) == (2, 1, 4)
+    assert found.nu.below_quarter_pi == 0.5
+    assert (sum(found.nu.bins[:6]), found.nu.bins[23], sum(found.nu.bins)) == (2, 1, 4)
 
 
 def test_a_run_that_has_not_begun_has_found_nothing(tmp_path: Path) -> None:
     found = told(tmp_path, random_rows(0))
-    assert (found.evaluations, found.complete, found.near_share, found.cells.end) == (0, False, None, 0)
+    assert (found.evaluations, found.complete, found.nu.below_quarter_pi, found.cells.end) == (
+        0,
+        False,
+        None,
+        0,
+    )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.coordinator.scheduler.search_plans import FEW_CELLS, SHAPE, Chain, Plan, asked
 
-from qdgrasp_coordinator.metrics.scores import TrialPlan, scored_successes
+from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes, find_successes
 from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_protocol.rows import Outcome, Rows
 
@@ -31,7 +31,7 @@ def test_scores_are_what_the_search_was_told(trials: int, size: int) -> None:
         journal.append(pipeline.settle(asked(pipeline, FEW_CELLS)).rows)
     rows, heard = np.concatenate(journal), np.concatenate(search.heard)
     blocks = (rows[first : first + size] for first in range(0, len(rows), size))
-    found = np.concatenate(list(scored_successes(blocks, plan)))
+    found = np.concatenate([part.scored for part in find_successes(blocks, plan)])
     assert len(heard) > 5
     assert len(np.unique(heard["fitness"])) > 2
     assert set(heard["trial"].tolist()) == {trials}
@@ -42,6 +42,8 @@ def test_a_success_has_no_score_before_its_last_trial_is_recorded() -> None:
     pipeline = Plan(population=6, trials=4, seed=1).pipeline()
     rows = np.concatenate([pipeline.settle(asked(pipeline)).rows for _ in range(2)])
     assert (rows["trial"] > 0).any()
-    whole = np.concatenate(list(scored_successes([rows], TrialPlan(4))))
-    short = np.concatenate(list(scored_successes([rows[:-1]], TrialPlan(4))))
-    assert short.tobytes() == whole[:-1].tobytes()
+    whole, short = all_successes(rows, TrialPlan(4)), all_successes(rows[:-1], TrialPlan(4))
+    assert short.scored.tobytes() == whole.scored[:-1].tobytes()
+    assert np.isnan(short.scores[-1])
+    assert (short.trials[-1], short.stop) == (3, short.numbers[-1])
+    assert whole.stop == len(rows)
