@@ -14,6 +14,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
+from trimesh import Trimesh
+from trimesh.graph import smooth_shade
 
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry
@@ -114,6 +116,7 @@ class GraspView(Struct, frozen=True):
     commands: Sequence[str]  # Commands that show and draw it
 
 
+SHARP = np.radians(45)  # faces that meet at a sharper angle are drawn with an edge
 CLOSING_STEPS = 11  # Poses of the hand from the open one to the closed one
 SUCCESS_KINDS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
 
@@ -225,7 +228,10 @@ def _words(kind: Outcome) -> str:
 
 
 def _triangles(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> TriangleMesh:
-    positions, indices = vertices.astype("<f4").tobytes(), faces.astype("<u4").tobytes()
+    """Return a mesh whose faces share a vertex only where they meet at no sharp angle."""
+    mesh = Trimesh(vertices, faces.reshape(-1, 3))
+    smooth = smooth_shade(mesh, SHARP, facet_minarea=None)
+    positions, indices = smooth.vertices.astype("<f4").tobytes(), smooth.faces.astype("<u4").tobytes()
     return TriangleMesh(b64encode(positions).decode(), b64encode(indices).decode())
 
 

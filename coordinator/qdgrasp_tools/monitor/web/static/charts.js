@@ -1,6 +1,6 @@
 // Curves of a job: cells and successes over evaluations, and evaluations per second over time.
 
-import { element, setAttribute, setText, updateChildren } from "./dom.js";
+import { darkMode, element, setAttribute, setText, updateChildren } from "./dom.js";
 import { count, rate, short, time } from "./format.js";
 import { RecordedCurves } from "./run_queries.js";
 
@@ -20,7 +20,7 @@ class Plot {
     Object.assign(this, { root, legend, timed, across, up, whole });
     this.series = [];
     new ResizeObserver(() => this.#fit()).observe(root);
-    document.addEventListener("themechange", () => this.#draw());
+    darkMode.addEventListener("change", () => this.#draw());
   }
 
   /**

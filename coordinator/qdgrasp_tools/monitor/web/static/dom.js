@@ -1,6 +1,9 @@
 // Elements and tables: made once, then changed only where they differ, so that focus, text selection and
 // scrolling stay.
 
+/** Whether the system has dark colours; it changes while the page is open. */
+export const darkMode = matchMedia("(prefers-color-scheme: dark)");
+
 /** A new element; an attribute that is null or false is left out, true sets it empty. */
 export function element(tag, attributes = {}, ...children) {
   const made = document.createElement(tag);
@@ -123,7 +126,7 @@ export class Table {
 }
 
 // The link past the lists to the main part, for those who use the keyboard.
-document.getElementById("skip").addEventListener("click", (event) => {
+document.getElementById("skip")?.addEventListener("click", (event) => {
   event.preventDefault(); // the address holds the selection
   document.getElementById("main").focus();
 });

@@ -58,8 +58,8 @@ export class VoxelPicker {
   #down = null;
 
   /** `onpick(slot)` with the slot of the voxel; -1: there is none. */
-  constructor(renderer, { onpick, onfail }) {
-    Object.assign(this, { renderer, onpick, onfail });
+  constructor(renderer, onpick) {
+    Object.assign(this, { renderer, onpick });
     this.#listen("addEventListener");
   }
 
@@ -76,43 +76,12 @@ export class VoxelPicker {
     this.#down = isPrimary ? [clientX, clientY] : null;
   };
 
-  #released = async ({ clientX, clientY, button, pointerType }) => {
+  #released = ({ clientX, clientY, button, pointerType }) => {
     const moved = this.#down && Math.hypot(clientX - this.#down[0], clientY - this.#down[1]);
-    if (!this.renderer.voxels || this.#down === null || moved > TAP || button) return;
-    const { left, top } = this.renderer.canvas.getBoundingClientRect();
-    try {
-      this.onpick(await this.#slotAt(clientX - left, clientY - top, NEAR[pointerType] ?? NEAR.mouse));
-    } catch (error) {
-      this.onfail(error);
-    }
-  };
-
-  /** The slot of the voxel at a place on the canvas [px]: drawn in the colours of their numbers, it is looked up. */
-  async #slotAt(x, y, near) {
-    const { renderer } = this, { projection, webgl, voxels } = renderer;
+    const { canvas, projection, voxels } = this.renderer;
+    if (!voxels || this.#down === null || moved > TAP || button) return;
+    const { left, top } = canvas.getBoundingClientRect();
     projection.aim();
-    const size = voxels.aim(projection);
-    const side = 2 * Math.max(Math.ceil(size / 2), near) + 1;
-    const pixels = await renderer.sample(x, y, side, (camera) => {
-      voxels.material = voxels.named;
-      webgl.render(voxels, camera);
-    });
-    return closest(pixels, side, near);
-  }
-}
-
-/** The slot that a pixel near the middle names, the nearest one; -1 where none does. */
-function closest(pixels, side, near) {
-  const middle = (side - 1) / 2;
-  let slot = -1, least = near * near + 1;
-  for (let y = 0; y < side; y++) {
-    for (let x = 0; x < side; x++) {
-      const far = (x - middle) ** 2 + (y - middle) ** 2, i = 4 * (y * side + x);
-      if (far < least && pixels[i + 3]) {
-        least = far;
-        slot = pixels[i] + 256 * pixels[i + 1] + 65536 * pixels[i + 2] - 1;
-      }
-    }
-  }
-  return slot;
+    this.onpick(voxels.slotAt(clientX - left - projection.width / 2, projection.height / 2 - (clientY - top), NEAR[pointerType] ?? NEAR.mouse, projection));
+  };
 }

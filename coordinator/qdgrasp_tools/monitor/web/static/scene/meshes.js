@@ -1,11 +1,10 @@
-// Triangle meshes with creases where they have edges, lit from beside the viewer; the hand; edges of a box.
+// Triangle meshes, lit from beside the viewer; the hand; edges of a box.
 
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, Color, DoubleSide, EdgesGeometry, FrontSide, GLSL3, Group, LineSegments, Matrix4,
   Mesh, Quaternion, RawShaderMaterial, Vector3,
 } from "../vendor/three/three.module.min.js";
 
-const CREASE = 0.7; // cosine: faces that meet at a sharper angle keep an edge
 const MESH_VERTEX = `
 in vec3 position;
 in vec3 normal;
@@ -50,64 +49,17 @@ export function drawnColour(colour) {
   return new Color().setStyle(colour, "srgb-linear");
 }
 
-/** The geometry of a mesh as the server sends it. */
+/** The geometry of a mesh as the server sends it: faces that meet at a sharp angle share no vertices. */
 export function meshGeometry({ positions, indices }) {
-  return creased(new Float32Array(bytes(positions)), new Uint32Array(bytes(indices)));
+  const geometry = new BufferGeometry();
+  geometry.setAttribute("position", new BufferAttribute(new Float32Array(bytes(positions)), 3));
+  geometry.setIndex(new BufferAttribute(new Uint32Array(bytes(indices)), 1));
+  geometry.computeVertexNormals();
+  return geometry;
 }
 
 function bytes(base64) {
   return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0)).buffer;
-}
-
-/** Each corner's normal is the mean of the faces around it that are no crease away, weighed by their areas. */
-function creased(vertices, corners) {
-  const normals = faceNormals(vertices, corners);
-  const { first, faces } = facesAround(vertices.length / 3, corners);
-  const position = new Float32Array(3 * corners.length), normal = new Float32Array(3 * corners.length);
-  for (let corner = 0; corner < corners.length; corner++) {
-    const vertex = corners[corner], own = 4 * ((corner / 3) | 0);
-    let x = 0, y = 0, z = 0;
-    for (let i = first[vertex]; i < first[vertex + 1]; i++) {
-      const other = 4 * faces[i];
-      const turned = normals[own] * normals[other] + normals[own + 1] * normals[other + 1] + normals[own + 2] * normals[other + 2];
-      const weight = turned < CREASE && own !== other ? 0 : normals[other + 3];
-      x += weight * normals[other];
-      y += weight * normals[other + 1];
-      z += weight * normals[other + 2];
-    }
-    const length = Math.sqrt(x * x + y * y + z * z) || 1;
-    normal.set([x / length, y / length, z / length], 3 * corner);
-    for (let k = 0; k < 3; k++) position[3 * corner + k] = vertices[3 * vertex + k];
-  }
-  const geometry = new BufferGeometry();
-  geometry.setAttribute("position", new BufferAttribute(position, 3));
-  geometry.setAttribute("normal", new BufferAttribute(normal, 3));
-  return geometry;
-}
-
-/** (4 f): each face's unit normal, and twice its area. */
-function faceNormals(vertices, corners) {
-  const normals = new Float32Array((corners.length / 3) * 4);
-  const edge = (from, to, k) => vertices[3 * to + k] - vertices[3 * from + k];
-  for (let face = 0; face < corners.length / 3; face++) {
-    const a = corners[3 * face], b = corners[3 * face + 1], c = corners[3 * face + 2];
-    const x = edge(a, b, 1) * edge(a, c, 2) - edge(a, b, 2) * edge(a, c, 1);
-    const y = edge(a, b, 2) * edge(a, c, 0) - edge(a, b, 0) * edge(a, c, 2);
-    const z = edge(a, b, 0) * edge(a, c, 1) - edge(a, b, 1) * edge(a, c, 0);
-    const area = Math.sqrt(x * x + y * y + z * z);
-    normals.set([x / (area || 1), y / (area || 1), z / (area || 1), area], 4 * face);
-  }
-  return normals;
-}
-
-/** The faces around each vertex: those of vertex k are `faces` from `first[k]` up to `first[k + 1]`. */
-function facesAround(count, corners) {
-  const first = new Uint32Array(count + 1), faces = new Uint32Array(corners.length);
-  for (const vertex of corners) first[vertex + 1] += 1;
-  for (let vertex = 0; vertex < count; vertex++) first[vertex + 1] += first[vertex];
-  const place = first.slice();
-  for (let corner = 0; corner < corners.length; corner++) faces[place[corners[corner]]++] = (corner / 3) | 0;
-  return { first, faces };
 }
 
 const PALM = 0.42; // solidity

@@ -1,6 +1,7 @@
 // A second view in 3D beside the first: one grasp alone, seen from the same side and at the same scale.
 
 import { Mesh } from "../vendor/three/three.module.min.js";
+import { darkMode } from "../dom.js";
 import { drawnColour, frameAt, HandMesh, meshGeometry, meshMaterial } from "./meshes.js";
 import { Renderer } from "./renderer.js";
 
@@ -17,7 +18,7 @@ export class PinnedView {
     this.renderer.follow(view.renderer);
     view.renderer.onmoved = () => this.renderer.follow(view.renderer);
     this.renderer.onmoved = () => view.renderer.follow(this.renderer);
-    document.addEventListener("themechange", this.#recolour);
+    darkMode.addEventListener("change", this.#recolour);
     this.place();
   }
 
@@ -34,7 +35,7 @@ export class PinnedView {
   /** Release everything. */
   stop() {
     this.view.renderer.onmoved = () => {};
-    document.removeEventListener("themechange", this.#recolour);
+    darkMode.removeEventListener("change", this.#recolour);
     this.body.geometry.dispose();
     this.body.material.dispose();
     this.hand.dispose();

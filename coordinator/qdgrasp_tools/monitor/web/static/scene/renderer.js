@@ -1,12 +1,11 @@
-// The renderer: draws when something changed and only then, coarsely while it moves and finely when it rests.
+// The renderer: draws when something changed and only then, coarsely while it moves where drawing takes long.
 
 import { OrbitControls } from "../vendor/three/OrbitControls.js";
-import { OrthographicCamera, Scene, Vector3, WebGLRenderer, WebGLRenderTarget } from "../vendor/three/three.module.min.js";
+import { OrthographicCamera, Scene, Vector3, WebGLRenderer } from "../vendor/three/three.module.min.js";
 import { AxesOverlay, ContactOverlay, FrameOverlay } from "./overlays.js";
 
 const REST = 180; // ms after the last movement: then it is drawn finely
-const COSTLY = 160; // ms: a still picture that takes longer is not smoothed
-const BRISK = 60; // ms between pictures of what glows, at least; a fourth of the time at most is spent on them
+const SLOW = 40; // ms: where frames take longer, what moves is drawn with half of the pixels along each side
 const PIXELS = 6e6; // drawn at most for one picture
 
 /** Draws the scene on a canvas; without a change nothing is drawn. */
@@ -16,16 +15,11 @@ export class Renderer {
     this.canvas = canvas;
     this.scene = new Scene();
     this.projection = new Projection();
-    this.quality = new RenderQuality();
     /** Whether nothing may move by itself. */
     this.calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     /** Whether the view was turned by hand since it was last shown whole. */
     this.touched = false;
-    /** How many pictures were drawn. */
-    this.drawn = 0;
-    /** How long to wait before the next picture of something that glows [ms]. */
-    this.rest = BRISK;
-    const context = canvas.getContext("webgl2", { antialias: false, alpha: true, powerPreference: "low-power" });
+    const context = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "low-power" });
     if (!context) throw new Error("no WebGL 2");
     this.webgl = new WebGLRenderer({ canvas, context });
     this.webgl.setClearAlpha(0);
@@ -52,11 +46,10 @@ export class Renderer {
   onmoved = () => {};
   #sizes;
   #frame = 0;
-  #timer = 0;
   #movedAt = -Infinity;
   #hasMoved = false;
   #drawnAt = 0;
-  #smooth = false;
+  #mean = 0; // ms that a frame takes while it moves
   #disposed = false;
   #follows = false; // what follows another view does not lead it
 
@@ -93,20 +86,6 @@ export class Renderer {
     if (!this.#follows) this.onmoved();
   }
 
-  /** Draw what is at a place [px of the page] with another camera, into a target; gives its pixels. */
-  async sample(x, y, side, draw) {
-    const target = new WebGLRenderTarget(side, side);
-    const pixels = new Uint8Array(4 * side * side);
-    this.projection.aim();
-    this.webgl.setRenderTarget(target);
-    this.webgl.clear();
-    draw(this.projection.around(x - this.projection.width / 2, this.projection.height / 2 - y, side, side));
-    this.webgl.setRenderTarget(null);
-    await this.webgl.readRenderTargetPixelsAsync(target, 0, 0, side, side, pixels);
-    target.dispose();
-    return pixels;
-  }
-
   /** Look at a place with a sphere of this radius [m] in the picture, along a direction. */
   lookAt(target, radius, direction = new Vector3(-0.62, -1, 0.58)) {
     this.controls.enableDamping = false; // what is left of a movement is over
@@ -124,7 +103,6 @@ export class Renderer {
   dispose() {
     this.#disposed = true;
     cancelAnimationFrame(this.#frame);
-    clearTimeout(this.#timer);
     this.#sizes.disconnect();
     this.controls.dispose();
     this.axes.dispose();
@@ -142,59 +120,33 @@ export class Renderer {
   #draw(at) {
     this.#frame = 0;
     if (this.webgl.getContext().isContextLost()) return;
-    this.controls.enableDamping = !this.calm && this.quality.finest; // where pictures are few it would go on for long
+    const isSlow = this.#mean > SLOW;
+    this.controls.enableDamping = !this.calm && !isSlow; // where pictures are few it would go on for long
     const moving = this.controls.update() || this.#hasMoved || performance.now() - this.#movedAt < REST;
     this.#hasMoved = false; // however late this picture is, what moved before it is drawn as moving
-    if (moving) this.#adaptQuality(at);
+    if (moving && this.#drawnAt) this.#mean = 0.6 * this.#mean + 0.4 * Math.min(at - this.#drawnAt, 5 * SLOW);
     this.projection.aim();
-    this.#paint(moving ? this.quality.level : { scale: this.#finest() });
+    this.#paint(moving && isSlow ? 0.5 : this.#finest);
     if (moving) this.invalidate();
-    else this.#measureStill();
     this.#drawnAt = moving ? at : 0;
     this.axes.draw(this.projection);
     this.contacts.draw(this.projection);
     this.frames.draw(this.projection);
-    this.drawn += 1;
   }
 
-  /** Adapt the quality to the time that frames take while it moves. */
-  #adaptQuality(at) {
-    if (this.#drawnAt) this.quality.addFrame(at - this.#drawnAt);
-    this.canvas.dataset.quality = this.quality.words;
+  get #finest() {
+    return Math.min(devicePixelRatio, Math.sqrt(PIXELS / (this.projection.width * this.projection.height)));
   }
 
-  /** Measure how long a still picture takes; where that is short, it is drawn again at twice the resolution. */
-  #measureStill() {
-    const began = performance.now(), context = this.webgl.getContext(), smooth = this.#smooth;
-    const fence = context.fenceSync(context.SYNC_GPU_COMMANDS_COMPLETE, 0);
-    context.flush();
-    const look = () => {
-      if (this.#disposed || context.isContextLost()) return;
-      if (context.getSyncParameter(fence, context.SYNC_STATUS) !== context.SIGNALED) return (this.#timer = setTimeout(look, 4));
-      context.deleteSync(fence);
-      const took = performance.now() - began;
-      this.rest = Math.max(BRISK, 4 * took);
-      this.#smooth = took < (smooth ? COSTLY : COSTLY / 5);
-      if (this.#smooth && !smooth) this.invalidate();
-    };
-    clearTimeout(this.#timer);
-    this.#timer = setTimeout(look, 4);
-  }
-
-  #finest() {
-    const dense = devicePixelRatio * (this.#smooth && devicePixelRatio < 2 ? 2 : 1);
-    return Math.min(dense, Math.sqrt(PIXELS / (this.projection.width * this.projection.height)));
-  }
-
-  #paint({ scale, ...looks }) {
+  #paint(scale) {
     const { projection, webgl, voxels } = this;
     const width = Math.max(1, Math.round(projection.width * scale)), height = Math.max(1, Math.round(projection.height * scale));
     if (this.canvas.width !== width || this.canvas.height !== height) webgl.setSize(width, height, false);
-    const now = performance.now() / 1000, { right, up, toward } = projection;
-    const size = voxels?.aim({ right, up, toward, scale: projection.scale * scale, page: projection.scale, now, ...looks }) ?? 0;
+    const { right, up, toward } = projection;
+    const size = voxels?.aim({ right, up, toward, scale: projection.scale * scale, page: projection.scale }) ?? 0;
     const band = Math.ceil(size / 2); // a voxel whose middle is beyond the edge may still be seen
     webgl.setViewport(-band, -band, width + 2 * band, height + 2 * band);
-    webgl.render(this.scene, projection.around(0, 0, projection.width + (2 * band) / scale, projection.height + (2 * band) / scale));
+    webgl.render(this.scene, projection.margined(band / scale));
   }
 
   #fit() {
@@ -271,14 +223,13 @@ class Projection {
     this.camera.matrixWorld.extractBasis(this.right, this.up, this.toward);
   }
 
-  /** A camera for what is seen in a rectangle around a place [px, from the middle], seen as now. */
-  around(x, y, width, height) {
+  /** A camera for what is seen now, and so many pixels of the page around it. */
+  margined(band) {
     const drawn = this.#drawn;
-    const half = [width / 2 / this.scale, height / 2 / this.scale];
+    const across = (this.width / 2 + band) / this.scale, along = (this.height / 2 + band) / this.scale;
     drawn.position.copy(this.camera.position);
     drawn.quaternion.copy(this.camera.quaternion);
-    Object.assign(drawn, { left: x / this.scale - half[0], right: x / this.scale + half[0] });
-    Object.assign(drawn, { top: y / this.scale + half[1], bottom: y / this.scale - half[1] });
+    Object.assign(drawn, { left: -across, right: across, top: along, bottom: -along });
     drawn.updateProjectionMatrix();
     drawn.updateMatrixWorld();
     return drawn;
@@ -290,59 +241,5 @@ class Projection {
     this.camera.lookAt(target);
     this.camera.zoom = (0.47 * Math.min(this.width, this.height)) / radius;
     this.camera.updateProjectionMatrix();
-  }
-}
-
-/** From fine to coarse: pixels drawn per pixel of the page along each side, whether voxels are plain squares, and
- *  the share of them that is drawn, those found first. */
-const LEVELS = [
-  { scale: 1, plain: false, share: 1 },
-  { scale: 0.7, plain: false, share: 1 },
-  { scale: 0.5, plain: false, share: 1 },
-  { scale: 0.5, plain: true, share: 1 },
-  { scale: 0.5, plain: true, share: 0.5 },
-  { scale: 0.4, plain: true, share: 0.25 },
-];
-const SLOW = 40; // ms: a frame that takes longer is drawn more coarsely next time
-const AWFUL = 120; // ms: that, and it is drawn much more coarsely
-const QUICK = 12; // ms: below it, more finely
-const SETTLED = 3; // frames at one level before it is judged
-const STALLED = 250; // ms: a frame that is later was held up by something else, and counts as this
-
-/** The level of detail while the view moves, so that it stays fluid, also without a graphics card. */
-export class RenderQuality {
-  #level = 0;
-  #frames = 0;
-  #mean = 0;
-
-  get level() {
-    return LEVELS[this.#level];
-  }
-
-  /** The level in words, for measurements. */
-  get words() {
-    const { scale, plain, share } = this.level;
-    return `${100 * scale} % of the pixels along each side, ${plain ? "squares" : "cubes"}, ${100 * share} % of the cells`;
-  }
-
-  get finest() {
-    return !this.#level;
-  }
-
-  /** Take in how long a frame took [ms]; true where the level changed. */
-  addFrame(ms) {
-    const counted = Math.min(ms, STALLED);
-    this.#mean = this.#frames ? 0.6 * this.#mean + 0.4 * counted : counted;
-    this.#frames += 1;
-    if (this.#frames < SETTLED) return false;
-    if (this.#mean > SLOW) return this.#go(Math.min(this.#level + (this.#mean > AWFUL ? 2 : 1), LEVELS.length - 1));
-    return this.#mean < QUICK && this.#go(this.#level - 1);
-  }
-
-  #go(level) {
-    const changed = level in LEVELS && level !== this.#level;
-    if (changed) this.#level = level;
-    this.#frames = 0;
-    return changed;
   }
 }

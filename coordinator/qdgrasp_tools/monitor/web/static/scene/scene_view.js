@@ -2,6 +2,7 @@
 // selected grasp.
 
 import { Mesh, Vector3 } from "../vendor/three/three.module.min.js";
+import { darkMode } from "../dom.js";
 import { count, several } from "../format.js";
 import { Cells } from "./cells.js";
 import { handleKey, isFor, VoxelPicker } from "./input.js";
@@ -13,7 +14,7 @@ import { CELL, Voxels } from "./voxels.js";
 const RETRY = 5000; // ms until a scene that could not be loaded is asked for again
 const CUT_OPEN = 600; // cells: from this number on the view is cut open at first
 const GROWN = 1.1; // cells so much farther out make the view zoom out, until it was turned by hand
-const COLOURS = { object: "#f7e6ca", hand: "#009e8c", mark: "#22262b", flash: "#ffffff", paper: "#ffffff" };
+const COLOURS = { object: "#f7e6ca", hand: "#009e8c", mark: "#22262b", paper: "#ffffff" };
 
 export class SceneView {
   /** Called with the server's description of the selected grasp; null: none is selected. */
@@ -32,7 +33,6 @@ export class SceneView {
   #closed = 1;
   #selected = null;
   #timer = 0;
-  #glowing = 0;
   #stopped = false;
   #whole = 0; // m: how far voxels were from the middle when all was shown
 
@@ -51,13 +51,13 @@ export class SceneView {
     const onpage = (page, isFirst) => this.#addPage(page, isFirst);
     const lacksMargins = () => this.objects?.cells.lacksMargins ?? false;
     this.updates = new CellUpdates(this.client, { onpage, onother: () => this.#reopen(), onfail, lacksMargins });
-    this.pointer = new VoxelPicker(this.renderer, { onpick: (slot) => this.#selectSlot(slot), onfail });
+    this.pointer = new VoxelPicker(this.renderer, (slot) => this.#selectSlot(slot));
   }
 
   /** Begin to show the run, and what is found in it from now on. */
   async start() {
     document.addEventListener("keydown", this.#key);
-    document.addEventListener("themechange", this.#recolour);
+    darkMode.addEventListener("change", this.#recolour);
     try {
       await this.#open();
     } catch (error) {
@@ -70,11 +70,10 @@ export class SceneView {
   stop() {
     this.#stopped = true;
     clearTimeout(this.#timer);
-    clearTimeout(this.#glowing);
     this.updates.stop();
     this.client.end();
     document.removeEventListener("keydown", this.#key);
-    document.removeEventListener("themechange", this.#recolour);
+    darkMode.removeEventListener("change", this.#recolour);
     this.pointer.dispose();
     this.#clear();
     this.renderer.dispose();
@@ -111,7 +110,7 @@ export class SceneView {
 
   /** Select the next grasp that is shown, or the one before: the best first, of equals the earliest. */
   step(by) {
-    const order = this.cells.order();
+    const order = this.cells.best().map(({ number }) => number);
     const place = order.indexOf(this.#selected);
     const next = place < 0 ? (by > 0 ? 0 : -1) : place + by;
     if (order.length) this.select(order.at(next % order.length));
@@ -193,12 +192,12 @@ export class SceneView {
     return this.#open();
   }
 
-  /** Add a page of successes; new ones glow. */
+  /** Add a page of successes. */
   #addPage(page, isFirst) {
     if (this.#stopped) return;
     const { cells, voxels } = this.objects, known = cells.size;
-    const now = isFirst || this.renderer.calm ? null : performance.now() / 1000;
-    if (page.n) voxels.change(cells.update(page), now);
+    cells.update(page);
+    voxels.renew();
     if (known < CUT_OPEN && cells.size >= CUT_OPEN) voxels.cut = true;
     if (page.n || isFirst) this.#changed();
     if (!this.renderer.touched && voxels.farthest > GROWN * this.#whole) this.home();
@@ -231,15 +230,7 @@ export class SceneView {
     const open = this.cut ? ", cut open" : "";
     this.onstatus(size ? `${shown === size ? "" : `${count(shown)} of `}${several(size, "cell")} of 1 cm${open}` : "Nothing found yet.");
     this.onchange();
-    this.#animate();
-  }
-
-  /** Draw, and go on while something glows; rarely where drawing takes long. */
-  #animate() {
     this.renderer.invalidate();
-    if (this.#stopped || !this.objects?.voxels.glows(performance.now() / 1000)) return;
-    clearTimeout(this.#glowing);
-    this.#glowing = setTimeout(() => this.#animate(), this.renderer.rest);
   }
 
   #fail(error) {
@@ -284,7 +275,7 @@ class SceneObjects {
     this.hand.recolour(colour("hand"));
     this.mark.recolour(colour("mark"));
     this.box.recolour(colour("mark"));
-    this.voxels.recolour(colour("flash"), colour("paper"));
+    this.voxels.recolour(colour("paper"));
   }
 
   /** Pose the hand as in a grasp of the server's, as far closed as `place` says; null: hide it. */
