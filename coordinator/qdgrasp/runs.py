@@ -203,7 +203,7 @@ def _run_figures(summary: RunSummary) -> list[tuple[str, object]]:
         ("evaluations", f"{summary.evaluations:,} of {summary.budget:,}"),
         ("successes", f"{summary.successes:,}{share} in {summary.cells:,} cells"),
         ("grasps", f"{summary.grasps:,}, {summary.robust:,} robust"),
-        ("state", (summary.ended or "complete") if summary.complete else "unfinished"),
+        ("state", (summary.finished or "complete") if summary.complete else "unfinished"),
     ]
 
 

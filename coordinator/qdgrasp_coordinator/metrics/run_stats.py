@@ -130,11 +130,6 @@ def success_mask(rows: Rows) -> NDArray[np.bool_]:
     return found
 
 
-def successes(rows: Rows) -> Rows:
-    """The nominal successes among rows, in their order."""
-    return rows[success_mask(rows)]
-
-
 class RunCounter:
     """Counts the rows of a journal in its order; outcomes are those of nominal rows.
 
@@ -166,7 +161,6 @@ class RunCounter:
         self._trials_follow = False
         self._outcomes = [0] * len(Outcome)
         self._cells: set[int] = set()
-        self._goals = goals
         self._tracker = StopTracker(goals, self._cells)
         self._curve = CurveRecorder()
         self.finished = self._ending()
@@ -210,8 +204,7 @@ class RunCounter:
         self.finished = self._ending()
 
     def _count_nominal(self, rows: Rows) -> None:
-        if self._goals != BUDGET_ALONE:
-            self._tracker.count(rows, evaluation_mask(rows, self._overlaps))
+        self._tracker.count(rows, evaluation_mask(rows, self._overlaps))
         outcomes = np.bincount(rows["outcome"], minlength=len(Outcome)).tolist()
         self._outcomes = [sum(pair) for pair in zip(self._outcomes, outcomes, strict=True)]
         self.evaluations += len(rows) if self._overlaps == "count" else sum(outcomes[Outcome.MISSED :])
@@ -228,9 +221,8 @@ class RunCounter:
         if self.evaluations > self._before:
             self._barren, self._before, self._fruitful = 0, self.evaluations, self._nominal
         self.finished = self._ending()
-        self._curve.record(
-            CurvePoint(self.evaluations, self.proposals, self.successes, self.cells, self.robust)
-        )
+        found = self.totals
+        self._curve.record(CurvePoint(*(getattr(found, name) for name in CurvePoint.__struct_fields__)))
 
     def curve(self, run: str) -> GrowthCurve:
         """Return the growth of the counts so far, of the run of that name."""
@@ -238,8 +230,26 @@ class RunCounter:
 
     @property
     def totals(self) -> RunTotals:
-        """The counts that are published."""
-        return RunTotals(**{name: getattr(self, name) for name in TOTAL_NAMES})
+        """The counts that are published; outcomes are those of nominal rows."""
+        reached = np.cumsum(self._outcomes[::-1])[::-1].tolist()  # Rows with at least each outcome
+        return RunTotals(
+            evaluations=self.evaluations,
+            simulated=reached[Outcome.MISSED],
+            proposals=self.proposals,
+            overlaps=self._outcomes[Outcome.OVERLAP],
+            dead_ends=self._outcomes[Outcome.DEAD_END],
+            successes=reached[Outcome.DROPPED],
+            grasps=reached[Outcome.SHAKEN],
+            robust=reached[Outcome.HELD],
+            errors=self.errors,
+            cells=len(self._cells),
+            trials=self.trials,
+        )
+
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """Number of nominal rows by outcome, under the `Outcome`'s name in lower case."""
+        return {outcome.name.lower(): self._outcomes[outcome] for outcome in Outcome}
 
     @property
     def left(self) -> int:
@@ -249,7 +259,7 @@ class RunCounter:
     @property
     def is_reached(self) -> bool:
         """True if the budget or a goal is reached: only trials may follow."""
-        return self.left <= 0 or self._goal is not None
+        return self.left <= 0 or self._tracker.reached is not None
 
     def rows_until_stop(self, rows: Rows) -> int:
         """Return how many of the next rows, nominal ones or trials, belong to the run.
@@ -258,16 +268,9 @@ class RunCounter:
         """
         if self.is_reached or not len(rows) or rows["trial"][0] > 0:
             return len(rows)
-        ends = [len(rows)]
-        if self.left <= len(rows):
-            ends.append(count_to_first(np.cumsum(evaluation_mask(rows, self._overlaps)) >= self.left))
-        if self._goals != BUDGET_ALONE:
-            ends.append(self._tracker.rows_until_stop(rows, evaluation_mask(rows, self._overlaps)))
-        return min(ends)
-
-    @property
-    def _goal(self) -> str | None:
-        return self._tracker.reached
+        is_counted = evaluation_mask(rows, self._overlaps)
+        end = count_to_first(np.cumsum(is_counted) >= self.left)
+        return min(end, self._tracker.rows_until_stop(rows, is_counted))
 
     def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
         """Check that the rows counted begin a journal of `spec`, which may have another budget.
@@ -284,63 +287,20 @@ class RunCounter:
             raise ImpossibleValue(where, spec.evaluations, f"at least {least}, which are recorded")
         self._tracker.check()
         is_cut = self._trials_follow and self._last["index"] + 1 < spec.population
-        if is_cut and spec.evaluations > least and self._goal is None:
+        if is_cut and spec.evaluations > least and self._tracker.reached is None:
             expected = f"{least}: trials end the generation there, and only whole generations can be extended"
             raise ImpossibleValue(where, spec.evaluations, expected)
 
     def _ending(self) -> str | None:
-        has_all_trials = self.trials >= self._trials_each * self.successes
+        has_all_trials = self.trials >= self._trials_each * sum(self._outcomes[Outcome.DROPPED :])
         if self.left <= 0 and has_all_trials:
             return f"the budget of {self.budget} evaluations is spent"
-        if self._goal is not None and has_all_trials:
-            return self._goal
+        if self._tracker.reached is not None and has_all_trials:
+            return self._tracker.reached
         genomes = self._nominal - self._fruitful
         if self._barren >= BARREN and genomes >= BARREN_GENOMES:
             return f"the last {genomes} genomes, {self._barren} generations, counted no evaluation"
         return None
-
-    def _from(self, outcome: Outcome) -> int:
-        return sum(self._outcomes[outcome:])
-
-    @property
-    def cells(self) -> int:
-        """Distinct 1 cm cells with a success."""
-        return len(self._cells)
-
-    @property
-    def outcomes(self) -> dict[str, int]:
-        """Number of nominal rows by outcome, under the `Outcome`'s name in lower case."""
-        return {outcome.name.lower(): self._outcomes[outcome] for outcome in Outcome}
-
-    @property
-    def dead_ends(self) -> int:
-        """Rows for which decoding found no pose."""
-        return self._outcomes[Outcome.DEAD_END]
-
-    @property
-    def overlaps(self) -> int:
-        """Rows whose open hand overlapped the object."""
-        return self._outcomes[Outcome.OVERLAP]
-
-    @property
-    def simulated(self) -> int:
-        """Rows whose hand closed."""
-        return self._from(Outcome.MISSED)
-
-    @property
-    def successes(self) -> int:
-        """Rows with a finger on the object after closing."""
-        return self._from(Outcome.DROPPED)
-
-    @property
-    def grasps(self) -> int:
-        """Successes that survived a disturbance."""
-        return self._from(Outcome.SHAKEN)
-
-    @property
-    def robust(self) -> int:
-        """Successes that survived every disturbance."""
-        return self._from(Outcome.HELD)
 
 
 def count_rows(spec: RunSpec, blocks: Iterable[Rows]) -> RunCounter:

@@ -3,8 +3,9 @@
 import numpy as np
 from msgspec import field, structs
 
+from qdgrasp_coordinator.metrics.job_status import RunListing
 from qdgrasp_coordinator.metrics.niches import niches
-from qdgrasp_coordinator.metrics.run_stats import RunCounter, RunTotals
+from qdgrasp_coordinator.metrics.run_stats import RunCounter
 from qdgrasp_coordinator.metrics.success_metrics import (
     Diversity,
     EtaSummary,
@@ -20,21 +21,18 @@ from qdgrasp_protocol.text import counted
 from qdgrasp_tools.report.row_report import genome_reader
 
 FIRST_FIELDS = (
-    *("gripper", "object", "scale", "method", "aim_for"),
+    *("run", "gripper", "object", "scale", "method", "aim_for"),
     *("told_apart_by", "grasps_per_cell", "protocol", "engine", "seed", "overlaps_mode"),
     *("evaluations", "budget", "rows", "trials"),
 )
 """Figures that a table begins with."""
 
 
-class RunSummary(RunTotals, frozen=True, kw_only=True):
+class RunSummary(RunListing, frozen=True, kw_only=True):
     """The figures of a run."""
 
-    gripper: str
-    object: str
     scale: float = 1.0
     """Metres to a unit of the object's mesh file."""
-    method: str
     aim_for: str = ""
     """Objective of a method that has one; empty: none, or `touch` in runs recorded without it."""
     told_apart_by: str = ""
@@ -43,13 +41,8 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     """Grasps of different kinds that fill a cell, as the spec has it."""
     engine: str = DEFAULT_ENGINE
     """The physics engine."""
-    protocol: str
-    seed: int
     overlaps_mode: str
     """Mode of counting overlaps, `count` or `redraw`."""
-    budget: int
-    rows: int
-    """Rows in the journal, overlaps and trials included."""
     diversity: Diversity
     """Niches of position, orientation and synergy with a success."""
     qd_score: float
@@ -65,12 +58,8 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     cpu_seconds: float
     wall_seconds: float
     complete: bool
-    ended: str
-    """Reason why the run ended, in words; empty while it has not."""
     collision_source: str
     """Source of the object's convex parts."""
-    scene: str
-    """sha256 of the scene bundle."""
     platform: dict[str, str]
     in_both: dict[str, HeldShare] = field(default_factory=dict)
     """Of grasps that hold, how many do so in another engine too, by its name, where the run has a table."""
@@ -88,7 +77,7 @@ class RunSummary(RunTotals, frozen=True, kw_only=True):
     def table(self) -> str:
         """All figures, one to a line."""
         values = dict.fromkeys(FIRST_FIELDS, "") | structs.asdict(self)
-        platform = values.pop("platform")
+        platform, _, _ = values.pop("platform"), values.pop("outcomes"), values.pop("folder")
         values["diversity"], values["nu"] = self.diversity.words, self.nu.words
         values["eta"] = None if self.eta is None else self.eta.words
         shares = values.pop("in_both")
@@ -108,29 +97,25 @@ def run_summary(folder: RunFolder) -> RunSummary:
             metrics.add(part)
             keys.append(niches(part.rows, reader))
             outcomes.append(part.rows["outcome"])
+        totals = found.totals
         return RunSummary(
-            **structs.asdict(found.totals),
-            **{name: getattr(spec, name) for name in ("gripper", "object", "method", "protocol", "seed")},
+            **structs.asdict(RunListing.of(journal.run, spec, journal.scene, found)),
             scale=spec.scale or 1.0,
             aim_for=spec.aim_for or "",
             told_apart_by=spec.diversity or ("position" if spec.aim_for else ""),
             grasps_per_cell=spec.grasps_per_cell,
             engine=spec.engine or DEFAULT_ENGINE,
             overlaps_mode=spec.overlaps,
-            budget=spec.evaluations,
-            rows=found.rows,
             diversity=diversity(np.concatenate(keys), np.concatenate(outcomes)),
             qd_score=metrics.qd_score,
-            success_share=found.successes / found.evaluations if found.evaluations else None,
+            success_share=totals.successes / totals.evaluations if totals.evaluations else None,
             mean_fitness=metrics.mean_fitness,
             nu=metrics.nu,
             eta=metrics.eta,
             cpu_seconds=journal.cpu_seconds,
             wall_seconds=journal.wall_seconds,
             complete=found.finished is not None,
-            ended=found.finished or "",
             collision_source=folder.scene().object.collision_source,
-            scene=journal.scene,
             platform=journal.platform,
             in_both=held_shares(folder),
         )

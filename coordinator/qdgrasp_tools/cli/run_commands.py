@@ -138,7 +138,7 @@ def print_result(folder: RunFolder, stop: Stop, *, is_timed: bool = False) -> No
         if not is_timed:
             raise typer.Exit(EndedEarly.exit_code)
     elif found.evaluations < found.budget:
-        echo(f"It ended early: {found.ended}.")
+        echo(f"It ended early: {found.finished}.")
     echo_errors(found.errors, str(folder.path))
     write_ranking_of(folder)
 

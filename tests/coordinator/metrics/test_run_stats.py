@@ -23,10 +23,11 @@ def test_every_outcome_is_counted_where_it_belongs() -> None:
     total = RunCounter(100, "redraw")
     total.count(rows(*Outcome))
     total.count(rows(*Outcome, generation=1))
-    figures = (total.errors, total.dead_ends, total.overlaps, total.simulated, total.successes)
+    found = total.totals
+    figures = (found.errors, found.dead_ends, found.overlaps, found.simulated, found.successes)
     assert figures == (2, 2, 2, 10, 6)
-    assert (total.grasps, total.robust, total.rows, total.evaluations) == (4, 2, 16, 10)
-    assert total.proposals == 48
+    assert (found.grasps, found.robust, total.rows, found.evaluations) == (4, 2, 16, 10)
+    assert found.proposals == 48
 
 
 def test_a_run_is_over_when_its_budget_is_spent() -> None:
@@ -99,7 +100,7 @@ def test_a_journal_with_trials_is_complete_when_the_last_trial_is_recorded(size:
     spec = RunSpec(gripper="hand", object="thing", population=2, evaluations=4, protocol="robust")
     journal = robust_journal()
     total = count_rows(spec, blocks(journal[:-1], size=size))
-    assert (total.evaluations, total.successes, total.trials, total.finished) == (4, 2, 199, None)
+    assert (total.evaluations, total.totals.successes, total.trials, total.finished) == (4, 2, 199, None)
     total = count_rows(spec, blocks(journal, size=size))
     assert total.finished == "the budget of 4 evaluations is spent"
 

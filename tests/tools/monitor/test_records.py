@@ -14,7 +14,7 @@ from tests.coordinator.recorded_runs import random_rows, record
 from tests.tools.report.test_row_report import OUTCOMES, run_of, run_of_synergies
 
 from qdgrasp_coordinator.metrics.niches import GenomeReader
-from qdgrasp_coordinator.metrics.run_stats import count_rows, successes
+from qdgrasp_coordinator.metrics.run_stats import count_rows, success_mask
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, QdgraspError, UnknownName
@@ -110,7 +110,7 @@ def test_the_scene_is_the_run_s(records: Records, folder: RunFolder) -> None:
 
 def test_all_successes_come_in_the_order_of_the_journal(records: Records) -> None:
     page = records.page("mug", "run", 0)
-    expected = successes(ROWS)
+    expected = ROWS[success_mask(ROWS)]
     assert (page.next, page.rows) == (300, 300)
     assert np.array_equal(page.found["outcome"], expected["outcome"])
     assert np.array_equal(page.found["base_to_object"], expected["base_to_object"])
@@ -134,13 +134,13 @@ def listed(folder: RunFolder, network: MemoryNetwork) -> Iterator[BusRecords]:
 
 def test_a_run_is_counted_as_its_journal_is(listed: BusRecords) -> None:
     (entry,) = listed.entries("mug").runs
-    assert (entry.run, entry.rows, entry.successes) == ("run", 300, len(successes(ROWS)))
+    assert (entry.run, entry.rows, entry.successes) == ("run", 300, len(ROWS[success_mask(ROWS)]))
 
 
 def test_how_a_run_grew_is_told_generation_by_generation(records: Records, folder: RunFolder) -> None:
     curve, counts = records.curve("mug", "run"), count_rows(folder.spec, [ROWS])
     assert [point.evaluations for point in curve.points] == list(range(10, 301, 10))
-    found = [len(successes(ROWS[:stop])) for stop in range(10, 301, 10)]
+    found = [len(ROWS[:stop][success_mask(ROWS[:stop])]) for stop in range(10, 301, 10)]
     assert [point.successes for point in curve.points] == found
     totals = counts.totals
     end = curve.points[-1]

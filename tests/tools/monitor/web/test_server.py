@@ -24,7 +24,7 @@ from tests.tools.monitor.web.conftest import HERE, STEP, FakeFeed, FakeLibrary, 
 from tests.tools.monitor.web.test_scene_data import read as read_page
 
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.metrics.run_stats import successes
+from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_protocol.errors import EndpointError, ImpossibleValue
 from qdgrasp_protocol.process import Stop
 from qdgrasp_tools.monitor.records import FolderIndex
@@ -288,7 +288,7 @@ def test_it_lists_jobs_and_their_runs(path: Path) -> None:
 def test_the_cells_are_those_of_all_successes(path: Path) -> None:
     answer = folder_client(path).get("/api/jobs/mug/runs/run/cells")
     places = {place for place, *_ in read_page(answer.content)[2].values()}
-    assert places == {tuple(place) for place in cells(successes(ROWS)["descriptor"]).tolist()}
+    assert places == {tuple(place) for place in cells(ROWS[success_mask(ROWS)]["descriptor"]).tolist()}
 
 
 def test_what_is_not_there_is_said(path: Path) -> None:

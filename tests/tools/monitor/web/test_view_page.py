@@ -11,14 +11,14 @@ from tests.coordinator.scenes import made_scene
 from tests.tools.monitor.web.conftest import serving_routes
 from tests.tools.monitor.web.test_page import CONTRAST
 
-from qdgrasp_coordinator.metrics.run_stats import successes
+from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_tools.monitor.records import FolderIndex
 from qdgrasp_tools.monitor.web.routes import folder_routes
 
 pytestmark = browser.needed
 ROWS = random_rows(60, reach=0.3)
-CELLS = f"{len(successes(ROWS))} cells of 1 cm"
+CELLS = f"{len(ROWS[success_mask(ROWS)])} cells of 1 cm"
 Look = Callable[..., Any]
 
 
