@@ -80,7 +80,7 @@ export class FilterControls {
     this.eta = element("input", { type: "range", min: 0, max: 1, step: 0.01, value: 0 });
     this.least = element("output");
     this.synergy = element("select");
-    this.spans = AXES.map((name, axis) => new RangeSlider(name, (low, high) => this.#setRange(axis, low, high)));
+    this.ends = AXES.map((name) => ["lowest", "highest"].map((end) => this.#input(`${name} ${end} [cm]`, { step: 1, placeholder: end })));
     this.scores = element("label", { class: "sort" }, element("span", {}, "eta at least"), this.eta, this.least);
     this.synergies = element("label", { class: "sort" }, element("span", {}, "Synergy"), this.synergy);
     this.reset = element("button", { type: "button", class: "quiet" }, "Show all");
@@ -91,7 +91,8 @@ export class FilterControls {
     this.allEngines = element("label", { class: "bound" }, this.allWords, this.all);
     const after = element("fieldset", { class: "bounds" }, element("legend", {}, "After closing"), ...this.bounds.map(({ node }) => node), this.allEngines);
     const legend = element("legend", {}, "Hand's position from the centre of mass [cm]");
-    const region = element("fieldset", {}, legend, ...this.spans.map((span) => span.node));
+    const spans = AXES.map((name, axis) => element("div", { class: "bound" }, element("b", {}, name), ...this.ends[axis]));
+    const region = element("fieldset", { class: "bounds" }, legend, ...spans);
     node.append(element("div", { class: "filter-form" }, this.sorts, after, region, this.reset));
     this.eta.addEventListener("input", () => this.#apply({ eta: Number(this.eta.value) }));
     this.synergy.addEventListener("change", () => this.#apply({ synergy: this.synergy.value === "" ? ANY : Number(this.synergy.value) }));
@@ -122,15 +123,9 @@ export class FilterControls {
     for (const { bound, node } of this.bounds) node.hidden = bound.isKnown?.(cells) === false && filter[bound.name] === bound.open;
     updateChildren(this.synergy, names, ({ value }) => value, ({ value, name }) => element("option", { value }, name), (option, { name }) => setText(option, name));
     this.synergy.value = filter.synergy ?? "";
-    this.spans.forEach((span, axis) => cells.size && span.reach(cells.low[axis], cells.high[axis]));
     setText(this.least, filter.eta.toFixed(2));
     setText(this.words, [filter.narrowed && `${filter.narrowed} in use`, cells.lacksMargins && margins(cells)].filter(Boolean).join(", "));
     setAttribute(this.reset, "disabled", !filter.narrowed);
-  }
-
-  #setRange(axis, low, high) {
-    const { filter } = this.#view.cells;
-    this.#apply({ low: filter.low.with(axis, low), high: filter.high.with(axis, high) });
   }
 
   #showAll() {
@@ -147,18 +142,22 @@ export class FilterControls {
     keepFilters({ eta: eta || NaN, synergy: synergy === ANY ? NaN : synergy, all: all ? 1 : NaN, ...Object.fromEntries(bounds) });
   }
 
-  /** What the bounds stand for, as a part of a filter: float32, as the quantities are. */
+  /** The bounds as a part of a filter: float32, as the quantities are. */
   #given() {
-    return Object.fromEntries(this.bounds.map(({ bound, input }) => {
-      const value = number(input);
-      return [bound.name, Number.isNaN(value) ? bound.open : Math.fround(bound.unit * value)];
-    }));
+    const part = this.bounds.map(({ bound, input }) => [bound.name, input.value === "" ? bound.open : Math.fround(bound.unit * number(input))]);
+    const [low, high] = [-Infinity, Infinity].map((open, end) => this.ends.map((inputs) => (inputs[end].value === "" ? open : inputs[end].valueAsNumber)));
+    return { ...Object.fromEntries(part), low, high };
   }
 
   #bound(bound) {
-    const input = element("input", { type: "number", min: 0, step: bound.step, inputmode: "decimal", placeholder: "any", "aria-label": bound.words });
-    input.addEventListener("input", () => this.#apply(this.#given()));
+    const input = this.#input(bound.words, { min: 0, step: bound.step, placeholder: "any" });
     return { bound, input, node: element("label", { class: "bound" }, element("span", {}, bound.words), input) };
+  }
+
+  #input(words, looks) {
+    const input = element("input", { type: "number", inputmode: "decimal", "aria-label": words, ...looks });
+    input.addEventListener("input", () => this.#apply(this.#given()));
+    return input;
   }
 
   /** Set all controls so that they leave nothing out. */
@@ -166,8 +165,7 @@ export class FilterControls {
     this.eta.value = 0;
     this.synergy.value = "";
     this.all.checked = false;
-    for (const { input } of this.bounds) input.value = "";
-    for (const span of this.spans) span.open();
+    for (const input of [...this.bounds.map((bound) => bound.input), ...this.ends.flat()]) input.value = "";
   }
 }
 
@@ -179,68 +177,4 @@ function margins({ margins: { known, possible } }) {
 /** The number in an input, 0 or more; NaN where there is none. */
 function number(input) {
   return input.value === "" ? NaN : Math.max(0, input.valueAsNumber);
-}
-
-/** A slider with two handles; a handle at its end sets no bound there. */
-class RangeSlider {
-  #least = 0;
-  #most = 0;
-
-  /** `onchange(low, high)`: where the handles stand; infinite at the ends. */
-  constructor(name, onchange) {
-    this.name = name;
-    this.onchange = onchange;
-    this.low = this.#handle("lowest");
-    this.high = this.#handle("highest");
-    this.words = element("output");
-    this.node = element("div", { class: "span" }, element("b", {}, name), element("span", { class: "track" }, this.low, this.high), this.words);
-  }
-
-  /** Set the range of values; a handle that stood at an end stays there. */
-  reach(least, most) {
-    if (least === this.#least && most === this.#most) return;
-    const low = this.from, high = this.upto;
-    [this.#least, this.#most] = [least, most];
-    for (const handle of [this.low, this.high]) {
-      setAttribute(handle, "min", least);
-      setAttribute(handle, "max", most);
-    }
-    this.low.value = Number.isFinite(low) ? low : least;
-    this.high.value = Number.isFinite(high) ? high : most;
-    this.#setWords();
-  }
-
-  /** Leave nothing out. */
-  open() {
-    this.low.value = this.#least;
-    this.high.value = this.#most;
-    this.#setWords();
-  }
-
-  get from() {
-    return Number(this.low.value) > this.#least ? Number(this.low.value) : -Infinity;
-  }
-
-  get upto() {
-    return Number(this.high.value) < this.#most ? Number(this.high.value) : Infinity;
-  }
-
-  #handle(end) {
-    const handle = element("input", { type: "range", step: 1, min: 0, max: 0, "aria-label": `${this.name} ${end} [cm]` });
-    handle.addEventListener("input", () => this.#moved(end));
-    return handle;
-  }
-
-  /** A handle pushes the other along rather than pass it, so two in one place can be moved either way. */
-  #moved(end) {
-    const [mine, other] = end === "lowest" ? [this.low, this.high] : [this.high, this.low];
-    if (Number(this.low.value) > Number(this.high.value)) other.value = mine.value;
-    this.#setWords();
-    this.onchange(this.from, this.upto);
-  }
-
-  #setWords() {
-    const word = (value) => String(value).replace("-", "−");
-    setText(this.words, `${word(this.low.value)} to ${word(this.high.value)}`);
-  }
 }
