@@ -27,7 +27,6 @@ from qdgrasp_tools.campaign.summary import RunSummary, run_summary
 from qdgrasp_tools.export.frames import frame_of
 from qdgrasp_tools.export.grasp_reader import (
     GraspChoice,
-    GraspReader,
     choose_grasps,
     read_run,
     select_grasps,
@@ -135,16 +134,14 @@ class Run:
         return select_grasps(found, min_fitness, top, diverse, limits, holds_in, check)
 
     def tables(self, *, min_fitness: int | None = None, frame: str = "mesh") -> Iterator[Any]:
-        """Yield the grasps as tables of pyarrow, some thousands at a time, for runs that are large.
+        """Yield the grasps as tables of pyarrow, some thousands at a time.
 
         The columns are those of `qdgrasp export --format parquet`, with poses in the object's `frame`,
         and `min_fitness` is that of `grasps`. It needs the extra `qdgrasp[export]`.
         """
         check_packages("Run.tables", "pyarrow")
-        with self._folder.journal() as journal:
-            chosen = choose_grasps(GraspReader(self._folder, journal), GraspChoice(min_fitness))
-            for part in chosen:
-                yield arrow_table(part.table(frame_of(frame)))
+        chosen = choose_grasps(read_run(self._folder), GraspChoice(min_fitness))
+        yield from map(arrow_table, chosen.tables(frame_of(frame)))
 
     def rows(self) -> Rows:
         """Return every row of the journal (n,), failures and trials too, as a structured array.

@@ -190,8 +190,9 @@ def import_(
 
     Example: qdgrasp import grasps.yaml --gripper panda --object mug -o poses.npz
     """  # noqa: D205  # typer joins the lines
-    from qdgrasp_tools.export.dataset import asset_name, is_dataset  # takes its time to load
+    from qdgrasp_tools.export.dataset import is_dataset  # takes its time to load
     from qdgrasp_tools.export.frames import frame_of
+    from qdgrasp_tools.export.grasp_table import asset_name
     from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame
 
     output = OutFile(out, force=force, inputs=(file, Path(gripper), Path(object_)))

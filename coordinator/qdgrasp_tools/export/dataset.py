@@ -6,15 +6,13 @@ Only some thousand grasps are in memory at a time. The head of the card is what 
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from string import Template
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
-from msgspec import Struct
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh import parts_to_obj
@@ -22,9 +20,10 @@ from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.tables import csv_text
-from qdgrasp_protocol.engines import DEFAULT_ENGINE, ENGINES
-from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName, check_packages
+from qdgrasp_protocol.engines import ENGINES
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.keys import job_name
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.export import jaw_files
@@ -35,23 +34,26 @@ from qdgrasp_tools.export.grasp_reader import (
     OBJECT_FRAMES,
     ChosenGrasps,
     GraspChoice,
-    GraspReader,
     choose_grasps,
     grasp_metadata,
+    read_journal,
 )
-from qdgrasp_tools.export.grasp_table import FITNESS_MEANING, GRASP_WORDS, SUCCESS_WORDS, UNITS, GraspMetadata
-from qdgrasp_tools.export.tabular import METADATA_KEY, ParquetShard, TarShard, arrow_table
+from qdgrasp_tools.export.grasp_table import (
+    FITNESS_MEANING,
+    UNITS,
+    GraspMetadata,
+    asset_name,
+    common_values,
+)
 from qdgrasp_tools.export.yaml_files import to_yaml
 
-SHARD_BYTES = 256 << 20  # A shard ends when it has so many bytes: hubs advise 100 to 500 MB
 DATA, MESHES = "data", "meshes"
-CARD, INDEX_CSV, INDEX_PARQUET = "README.md", "index.csv", "index.parquet"
+CARD, INDEX = "README.md", "index.csv"
 COPY, NAME = "copy", "name"
 SPLIT_NAMES = ("train", "validation", "test")
-SHARDED = ("parquet", "webdataset")
-"""Formats whose files hold the grasps of several runs."""
-DATASET_WORDS = '{"dataset": "index.parquet, column about"}'
-"""Metadata in the schema of a shard, in place of that of one run."""
+TABLES = ("parquet", "webdataset")
+"""Formats that hubs show as tables: their files are in a folder for each split."""
+COUNTS = ("evaluations", "successes", "grasps", "robust")
 
 
 def parse_shares(text: str) -> tuple[float, ...]:
@@ -74,18 +76,13 @@ def split_of(name: str, shares: tuple[float, ...]) -> str:
     return SPLIT_NAMES[int((np.cumsum(shares) > place).argmax())]
 
 
-def asset_name(name: str) -> str:
-    """Return the name of a gripper or an object, or that of its file."""
-    return Path(name).stem if Path(name).suffix else name
-
-
 def is_dataset(path: Path) -> bool:
     """Return whether a folder is a data set that was exported."""
-    return all((path / name).is_file() for name in (CARD, INDEX_CSV, INDEX_PARQUET))
+    return all((path / name).is_file() for name in (CARD, INDEX))
 
 
 class DatasetRun(NamedTuple):
-    """One run of a data set; sorted, runs of one file and one object are neighbours."""
+    """One run of a data set; sorted, runs of one hand and one object are neighbours."""
 
     gripper: str
     split: str
@@ -96,45 +93,8 @@ class DatasetRun(NamedTuple):
     about: ObjectRecord
 
 
-class IndexEntry(Struct, frozen=True, kw_only=True):
-    """A line of the index: one run."""
-
-    object: str
-    gripper: str
-    run: str
-    split: str
-    """Split of the object; empty: none."""
-    category: str
-    licence: str
-    """Licence of the object."""
-    source: str
-    object_file: str
-    """The name of its mesh file; empty: it is built in."""
-    object_sha256: str
-    """Digest of the object as it was simulated."""
-    mesh: str
-    """The copy of its mesh in this data set [m]; empty: there is none."""
-    method: str
-    seed: int
-    protocol: str
-    engine: str
-    evaluations: int
-    successes: int
-    grasps: int
-    robust: int
-    min_fitness: int
-    """Least fitness of the grasps that were taken."""
-    rows: int
-    """Lines in this data set, failures included."""
-    failures: int
-    best_quality: float | None
-    digest: str
-    """sha256 over the rows of the run."""
-    scene: str
-    """sha256 of the scene bundle."""
-    files: tuple[str, ...] = ()
-    about: str
-    """Metadata of a file of this run alone, as JSON; not in CSV."""
+Entry = dict[str, Any]
+"""A line of the index: one run."""
 
 
 def export_dataset(
@@ -150,7 +110,6 @@ def export_dataset(
     force: bool = False,
     tell: Tell = ignore_progress,
     is_stopped: Callable[[], bool] = lambda: False,
-    shard_bytes: int = SHARD_BYTES,
 ) -> str:
     """Write runs as one data set; returns a sentence, empty if it was stopped.
 
@@ -158,7 +117,6 @@ def export_dataset(
     mesh of each object. `shares` split objects without a split of their own. Runs that cannot be read are
     left out, and named in the card. Raises InputError where it cannot be written, or there is no grasp.
     """
-    check_packages("A data set", "pyarrow")  # of its index
     form = format_of(name)
     if meshes not in (COPY, NAME):
         raise UnknownName("meshes", meshes, (COPY, NAME))
@@ -167,11 +125,12 @@ def export_dataset(
     output.check()
     with suppress(_StopExport), output.writing() as made:
         made.mkdir()
-        writer = DatasetWriter(made, form, choice, frame_of(frame), failures, meshes, shares, shard_bytes)
-        with closing(writer):
-            for run in sorted(writer.runs(folders)):
-                tell(f"run {run.name}, {len(writer.entries)} of {len(folders)} written")
-                writer.write(run, is_stopped)
+        writer = DatasetWriter(made, form, choice, frame_of(frame), failures, meshes, shares)
+        for run in sorted(writer.runs(folders)):
+            tell(f"run {run.name}, {len(writer.entries)} of {len(folders)} written")
+            if is_stopped():
+                raise _StopExport
+            writer.write(run)
         return f"{writer.write_lists()} written to {out}, poses in the objects' {frame} frame."
     return ""
 
@@ -192,14 +151,11 @@ class DatasetWriter:
     """Failures of each run, at most."""
     meshes: str
     shares: tuple[float, ...]
-    shard_bytes: int
-    entries: list[IndexEntry] = field(default_factory=list)
+    entries: list[Entry] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     """Runs that cannot be read, with the reason."""
 
     def __post_init__(self) -> None:
-        self._numbers: Counter[str] = Counter()  # Complete shards, by what their names begin with
-        self._shard: tuple[str, ParquetShard | TarShard, ExitStack] | None = None
         self._engines: tuple[str, ...] = ()  # Those that any run has a table of
 
     def runs(self, folders: Sequence[RunFolder]) -> Iterator[DatasetRun]:
@@ -222,122 +178,72 @@ class DatasetWriter:
             split = about.split or split_of(object_, self.shares)
             yield DatasetRun(asset_name(spec.gripper), split, object_, unique, folder, about)
 
-    def write(self, run: DatasetRun, is_stopped: Callable[[], bool]) -> None:
+    def write(self, run: DatasetRun) -> None:
         """Write the grasps of a run, or note why it cannot be read."""
-        if is_stopped():
-            raise _StopExport
-        with ExitStack() as stack:
-            try:
-                journal = stack.enter_context(run.folder.journal())
-                reader = GraspReader(run.folder, journal, self._engines, run.name)
-                chosen = choose_grasps(reader, self.choice, self.failures)
-                metadata = grasp_metadata(chosen, self.frame, self.format.places)
-                entry = self._entry(run, chosen, metadata)
-            except InputError as error:
-                self.left_out[run.name] = str(error)
-                return
-            is_sharded = self.format.name in SHARDED
-            write = self._write_rows if is_sharded else self._write_file
-            files = write(run, chosen, metadata, entry) if len(chosen) else ()
-            self.entries.append(msgspec.structs.replace(entry, files=tuple(files)))
+        least = Outcome.MISSED if self.failures else Outcome.DROPPED
+        try:
+            with run.folder.journal() as journal:
+                every = read_journal(run.folder, journal, least, self._engines, run.name)
+                chosen = choose_grasps(every, self.choice, self.failures)
+                metadata = grasp_metadata(chosen, self.frame, journal)
+                totals = count_rows(every.spec, journal.blocks()).totals
+        except InputError as error:
+            self.left_out[run.name] = str(error)
+            return
+        body, about, common = every.scene.object, run.about, common_values(every.spec)
+        self.entries.append({
+            "object": run.object,
+            "gripper": run.gripper,
+            "run": run.name,
+            "split": run.split,
+            "category": about.category,
+            "licence": about.licence or body.licence,
+            "source": about.source or body.source,
+            "object_file": metadata.object_file,
+            "object_sha256": metadata.object_sha256,
+            "mesh": self._mesh(run.object, chosen, metadata),
+            **{name: common[name] for name in ("method", "seed", "protocol", "engine")},
+            **{name: getattr(totals, name) for name in COUNTS},
+            "min_fitness": chosen.min_fitness,
+            "rows": len(chosen.grasps),
+            "failures": chosen.failures,
+            "best_quality": chosen.best,
+            "digest": metadata.runs[0].digest,
+            "scene": metadata.scene,
+            "files": " ".join(self._write_file(run, chosen, metadata)),
+        })  # fmt: skip
 
-    def _write_file(
-        self, run: DatasetRun, chosen: ChosenGrasps, metadata: GraspMetadata, _: IndexEntry
-    ) -> list[str]:
-        """Write the file of a run, in formats that have one for each; returns its names."""
+    def _write_file(self, run: DatasetRun, chosen: ChosenGrasps, metadata: GraspMetadata) -> list[str]:
+        """Write the grasps of a run, if there are any; returns the names of its files."""
         form, home = self.format, self.path / DATA / job_name(run.gripper)
+        if form.name in TABLES:
+            home /= run.split or SPLIT_NAMES[0]
+        if not len(chosen.grasps):
+            return []
         home.mkdir(parents=True, exist_ok=True)
         if form.suffix:
             made = [home / f"{run.name}{form.suffix}"]
             form.write(made[0], chosen, metadata)
         else:
-            parts = (part.table(metadata.frame, metadata) for part in chosen)
-            jaw_files.write_graspgen_object(home, run.name, parts)
+            jaw_files.write_graspgen_object(home, run.name, chosen.tables(metadata.frame, metadata))
             ends = {jaw_files.DATA: "json", jaw_files.OBJECTS: "obj"}
             made = [home / folder / f"{run.name}.{end}" for folder, end in ends.items()]
         return [file.relative_to(self.path).as_posix() for file in made]
 
-    def _write_rows(
-        self, run: DatasetRun, chosen: ChosenGrasps, metadata: GraspMetadata, entry: IndexEntry
-    ) -> list[str]:
-        """Write the grasps of a run into shards that hold those of several; returns their names."""
-        begin = f"{DATA}/{job_name(run.gripper)}/{run.split or SPLIT_NAMES[0]}"
-        same: dict[str, str | int] = {
-            "object": run.object, "gripper": run.gripper, "category": entry.category,
-            "method": entry.method, "seed": entry.seed, "protocol": entry.protocol, "engine": entry.engine,
-        }  # fmt: skip
-        files, first = dict[str, None](), 0
-        for part in chosen:
-            table = part.table(metadata.frame, metadata)
-            rows = None
-            if self.format.name == "parquet":
-                rows = arrow_table(table, {METADATA_KEY: DATASET_WORDS}, same)
-            shard = self._open_shard(begin, rows)
-            if isinstance(shard, TarShard):
-                shard.add(f"{run.name}-{first:09}", table, metadata.values | same)
-            else:
-                shard.add(rows)
-            first += len(part)
-            files[self._shard_name(begin)] = None
-            if shard.size >= self.shard_bytes:
-                self.close()
-        return list(files)
-
-    def _open_shard(self, begin: str, rows: Any) -> ParquetShard | TarShard:
-        """Return the open shard, or a new one where its rows are others'."""
-        if self._shard:
-            other, shard, _ = self._shard
-            if other == begin and (isinstance(shard, TarShard) or shard.fits(rows)):
-                return shard
-            self.close()
-        path = self.path / self._shard_name(begin)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        made = TarShard(path) if path.suffix == ".tar" else ParquetShard(path)
-        stack = ExitStack()
-        stack.push(made.__exit__)
-        self._shard = begin, made, stack
-        return made
-
-    def _shard_name(self, begin: str) -> str:
-        return f"{begin}-{self._numbers[begin]:05}{self.format.suffix}"
-
-    def close(self) -> None:
-        """Complete the open shard."""
-        if self._shard is not None:
-            begin, _, stack = self._shard
-            stack.close()
-            self._shard = None
-            self._numbers[begin] += 1
-
-    def _entry(self, run: DatasetRun, chosen: ChosenGrasps, metadata: GraspMetadata) -> IndexEntry:
-        spec, body = chosen.spec, chosen.scene.object
-        totals = count_rows(spec, chosen.reader.journal.blocks()).totals
-        return IndexEntry(
-            object=run.object, gripper=run.gripper, run=run.name, split=run.split,
-            category=run.about.category, licence=run.about.licence or body.licence,
-            source=run.about.source or body.source, object_file=metadata.object_file,
-            object_sha256=metadata.object_sha256, mesh=self._mesh(run.object, chosen, metadata),
-            method=spec.method, seed=spec.seed, protocol=spec.protocol, engine=spec.engine or DEFAULT_ENGINE,
-            evaluations=totals.evaluations, successes=totals.successes, grasps=totals.grasps,
-            robust=totals.robust, rows=len(chosen), min_fitness=chosen.min_fitness,
-            failures=chosen.failures, best_quality=chosen.best, digest=metadata.runs[0].digest,
-            scene=metadata.scene, about=metadata.json,
-        )  # fmt: skip
-
     def _mesh(self, name: str, chosen: ChosenGrasps, metadata: GraspMetadata) -> str:
         """Copy the mesh of an object where that is asked for; returns its file."""
-        if self.meshes != COPY or not len(chosen):
+        if self.meshes != COPY or not len(chosen.grasps):
             return ""
         file = f"{MESHES}/{job_name(name)}-{metadata.object_sha256[:12]}.obj"
         if not (self.path / file).exists():
             (self.path / MESHES).mkdir(exist_ok=True)
-            solid = object_solid(chosen.scene.object, metadata.frame)
+            solid = object_solid(chosen.grasps.scene.object, metadata.frame)
             (self.path / file).write_bytes(parts_to_obj([solid.mesh]))
         return file
 
     def write_lists(self) -> str:
         """Write the index and the card; returns how much was written, in words."""
-        if not any(entry.rows for entry in self.entries):
+        if not any(entry["rows"] for entry in self.entries):
             why = "; --min-fitness 1 takes what survived some disturbance, 0 all successes."
             if self.left_out:
                 number, first = counted(len(self.left_out), "run"), next(iter(self.left_out.values()))
@@ -345,7 +251,7 @@ class DatasetWriter:
             raise FolderError(f"There is no grasp to write{why}")
         if not self.format.suffix:
             self._write_graspgen_lists()
-        write_index(self.path, self.entries)
+        (self.path / INDEX).write_text(csv_text(self.entries, list(self.entries[0])), encoding="utf-8")
         text, words = card_text(self)
         (self.path / CARD).write_text(text, encoding="utf-8")
         beside = f"; {counted(len(self.left_out), 'run')} left out, see {CARD}" if self.left_out else ""
@@ -354,36 +260,12 @@ class DatasetWriter:
     def _write_graspgen_lists(self) -> None:
         hands: dict[str, dict[str, tuple[str, ...]]] = {}
         for entry in self.entries:
-            if entry.rows:
-                split = "valid" if entry.split == "validation" else entry.split
+            if entry["rows"]:
+                split = "valid" if entry["split"] == "validation" else entry["split"]
                 splits = (split,) if split else ("train", "valid")
-                hands.setdefault(job_name(entry.gripper), {})[entry.run] = splits
+                hands.setdefault(job_name(entry["gripper"]), {})[entry["run"]] = splits
         for hand, objects in hands.items():
             jaw_files.write_graspgen_index(self.path / DATA / hand, objects)
-
-
-def write_index(folder: Path, entries: Sequence[IndexEntry]) -> None:
-    """Write the index as CSV and as Parquet; of the latter alone `about` is a column."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    names = IndexEntry.__struct_fields__
-    rows = [msgspec.to_builtins(entry) for entry in entries]
-    text = csv_text((row | {"files": " ".join(row["files"])} for row in rows), names[:-1])
-    (folder / INDEX_CSV).write_text(text, encoding="utf-8")
-    numbers = ("seed", "evaluations", "successes", "grasps", "robust", "min_fitness", "rows", "failures")
-    kinds: dict[str, Any] = dict.fromkeys(numbers, pa.int64())
-    kinds |= {"best_quality": pa.float64(), "files": pa.list_(pa.string())}
-    schema = pa.schema([(name, kinds.get(name, pa.string())) for name in names])
-    pq.write_table(pa.Table.from_pylist(rows, schema), folder / INDEX_PARQUET, compression="zstd")
-
-
-def read_index(folder: Path) -> list[dict[str, Any]]:
-    """Return the lines of the index of a data set as plain values."""
-    import pyarrow.parquet as pq
-
-    lines: list[dict[str, Any]] = pq.read_table(folder / INDEX_PARQUET, use_threads=False).to_pylist()
-    return lines
 
 
 SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "10M<n<100M", "100M<n<1B", "n>1T")
@@ -404,8 +286,8 @@ $hands
 An open hand without an arm is placed at a commanded pose, closes, and the object is disturbed
 ($evaluations in all, under the protocols and engines of the index):
 
-- success: {SUCCESS_WORDS}
-- grasp: {GRASP_WORDS}
+- success: a finger touches the object after closing
+- grasp: a success that survives at least one disturbance: fitness 1 or more
 - fitness: {FITNESS_MEANING}
 - quality (`confidence`): 0 to 1, higher is better: the estimated probability of transfer where it is known,
   else the share of the disturbances that was survived
@@ -414,14 +296,14 @@ An open hand without an arm is placed at a commanded pose, closes, and the objec
 
 Units are {UNITS}. Poses are those of the hand's root link in the object's `$frame` frame: $meaning.
 The commanded pose goes with the open joints, the settled pose with the joints after closing. Quaternions in
-tables are x, y, z, w. The column `about` of `{INDEX_PARQUET}` has, for each run, all that a file of it alone
-says of itself: link, axes, scale, masses, centre of mass, digests, and the spec that repeats it.
+tables are x, y, z, w. Each file says of itself: link, axes, scale, masses, centre of mass, digests, and the
+spec that repeats its run.
 
 ## Files
 
-`{INDEX_CSV}` and `{INDEX_PARQUET}` have a line for each run: object, hand, counts, digests, files. The files
-in `{DATA}/HAND` are of the format `$format`; docs/formats.md of qdgrasp explains it. Poses of an object in a
-data set of Parquet are scored again by `qdgrasp import DIR --gripper HAND --object MESH -o poses.npz`.
+`{INDEX}` has a line for each run: object, hand, counts, digests, files. The files in `{DATA}/HAND` are of the
+format `$format`; docs/formats.md of qdgrasp explains it. Poses of an object in a data set of Parquet are
+scored again by `qdgrasp import DIR --gripper HAND --object MESH -o poses.npz`.
 
 ## Licences
 
@@ -441,8 +323,8 @@ up 6-DoF Grasp Sampling with Quality-Diversity. arXiv:2403.06173.
 def card_text(data: DatasetWriter) -> tuple[str, str]:
     """Return the card of a data set, and how much is in it, in words."""
     entries = data.entries
-    rows, failures = (sum(getattr(entry, name) for entry in entries) for name in ("rows", "failures"))
-    objects = counted(len({entry.object for entry in entries}), "object")
+    rows, failures = (sum(entry[name] for entry in entries) for name in ("rows", "failures"))
+    objects = counted(len({entry["object"] for entry in entries}), "object")
     beside = f" and {counted(failures, 'failure')}" if failures else ""
     words = f"{counted(rows - failures, 'grasp')}{beside} of {objects} in {counted(len(entries), 'run')}"
     lines, known, licences = (
@@ -451,9 +333,10 @@ def card_text(data: DatasetWriter) -> tuple[str, str]:
         dict[str, set[str]](),
     )
     for entry in entries:
-        lines[entry.gripper, entry.split] += entry.rows
-        known.setdefault((entry.gripper, entry.split), set()).add(entry.object)
-        licences.setdefault(" ".join(entry.licence.split()) or "not stated", set()).add(entry.object)
+        hand, object_ = (entry["gripper"], entry["split"]), entry["object"]
+        lines[hand] += entry["rows"]
+        known.setdefault(hand, set()).add(object_)
+        licences.setdefault(" ".join(entry["licence"].split()) or "not stated", set()).add(object_)
     hands = [f"| {hand} | {split or 'none'} | {len(known[hand, split])} | {count} |"
              for (hand, split), count in sorted(lines.items())]  # fmt: skip
     left = [f"- `{run}`: {' '.join(reason.split())}" for run, reason in data.left_out.items()]
@@ -461,7 +344,7 @@ def card_text(data: DatasetWriter) -> tuple[str, str]:
         head=to_yaml(_head(data, rows)),
         words=words,
         hands="\n".join(hands),
-        evaluations=counted(sum(entry.evaluations for entry in entries), "evaluation"),
+        evaluations=counted(sum(entry["evaluations"] for entry in entries), "evaluation"),
         frame=data.frame,
         meaning=OBJECT_FRAMES[data.frame].format("the mesh"),
         format=data.format.name,
@@ -477,16 +360,16 @@ def card_text(data: DatasetWriter) -> tuple[str, str]:
 def _head(data: DatasetWriter, rows: int) -> dict[str, Any]:
     """Return the head of the card; of formats that the hub shows as tables, with their files."""
     tables: dict[str, dict[str, str]] = {}
-    for entry in data.entries if data.format.name in SHARDED else ():
-        if entry.files:
-            pattern = f"{entry.files[0].rpartition('-')[0]}-*{data.format.suffix}"
-            tables.setdefault(entry.gripper, {})[entry.split or SPLIT_NAMES[0]] = pattern
+    for entry in data.entries if data.format.name in TABLES else ():
+        if entry["files"]:
+            pattern = f"{entry['files'].rpartition('/')[0]}/*{data.format.suffix}"
+            tables.setdefault(entry["gripper"], {})[entry["split"] or SPLIT_NAMES[0]] = pattern
     configs = [
         {"config_name": job_name(hand),
          "data_files": [{"split": split, "path": path} for split, path in sorted(paths.items())]}
         for hand, paths in sorted(tables.items())
     ]  # fmt: skip
-    index = {"config_name": "index", "data_files": [{"split": "train", "path": INDEX_PARQUET}]}
+    index = {"config_name": "index", "data_files": [{"split": "train", "path": INDEX}]}
     return {
         "pretty_name": "Grasps of qdgrasp",
         "license": "other",

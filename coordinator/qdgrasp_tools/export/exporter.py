@@ -1,7 +1,7 @@
 """Exports grasps: of a run to a file, of several runs and campaigns to a data set."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
@@ -9,6 +9,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError, UnknownName, check_packages
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.export import jaw_files, tabular, yaml_files
 from qdgrasp_tools.export.frames import Frame, frame_of
@@ -18,10 +19,9 @@ from qdgrasp_tools.export.grasp_reader import (
     NOT_SETTLED,
     ChosenGrasps,
     GraspChoice,
-    GraspReader,
-    PosePlaces,
     choose_grasps,
     grasp_metadata,
+    read_journal,
     read_run,
 )
 from qdgrasp_tools.export.grasp_table import GraspMetadata, RunTable
@@ -34,7 +34,6 @@ class ExportFormat:
     name: str
     suffix: str
     """Ending of its files; empty: it is a folder."""
-    places: PosePlaces
     write_table: Callable[[Path, RunTable], None] | None = None
     """Writes all grasps at once; None: `write_parts` does, part by part."""
     write_parts: Callable[[Path, Iterable[RunTable]], None] | None = None
@@ -52,47 +51,21 @@ class ExportFormat:
     def write(self, path: Path, chosen: ChosenGrasps, metadata: GraspMetadata) -> None:
         """Write the chosen grasps of a run."""
         if self.write_table:
-            self.write_table(path, chosen.whole.table(metadata.frame, metadata))
+            self.write_table(path, chosen.grasps.table(metadata.frame, metadata))
         elif self.write_parts:
-            self.write_parts(path, (part.table(metadata.frame, metadata) for part in chosen))
+            self.write_parts(path, chosen.tables(metadata.frame, metadata))
 
-
-ISAAC_PLACES = PosePlaces(
-    "pregrasp_position, pregrasp_orientation, pregrasp_cspace_position",
-    "position, orientation, cspace_position",
-)
-ACRONYM_PLACES = PosePlaces(
-    "grasps/transforms, grasps/pregrasp_joint_positions",
-    "grasps/settled_transforms, grasps/joint_positions",
-    "grasps/contact_links, contact_points, contact_normals, contact_forces",
-)
-GRASPGEN_PLACES = PosePlaces(
-    "grasps.transforms, qdgrasp.grasps.pregrasp_joint_positions",
-    "qdgrasp.grasps.settled_transforms, joint_positions",
-    "qdgrasp.grasps.contacts",
-)
-CSV_PLACES = PosePlaces("x to qw, pregrasp.*", "settled_x to settled_qw, joint.*")
-PARQUET_PLACES = replace(CSV_PLACES, contacts=tabular.CONTACTS)
-MOVEIT_PLACES = PosePlaces("grasp_pose, pre_grasp_posture", "qdgrasp.grasps.settled_poses, grasp_posture")
 
 FORMATS = {
     each.name: each
     for each in (
-        ExportFormat("isaac", ".yaml", ISAAC_PLACES, yaml_files.write_isaac, default_failures=None),
-        ExportFormat("acronym", ".h5", ACRONYM_PLACES, jaw_files.write_acronym, packages=("h5py",)),
-        ExportFormat(
-            "graspgen",
-            "",
-            GRASPGEN_PLACES,
-            write_parts=jaw_files.write_graspgen,
-            default_failures=ALL_FAILURES,
-        ),
-        ExportFormat(
-            "parquet", ".parquet", PARQUET_PLACES, write_parts=tabular.write_parquet, packages=("pyarrow",)
-        ),
-        ExportFormat("webdataset", ".tar", PARQUET_PLACES, write_parts=tabular.write_tar),
-        ExportFormat("moveit", ".yaml", MOVEIT_PLACES, yaml_files.write_moveit, default_failures=None),
-        ExportFormat("csv", ".csv", CSV_PLACES, tabular.write_csv),
+        ExportFormat("isaac", ".yaml", yaml_files.write_isaac, default_failures=None),
+        ExportFormat("acronym", ".h5", jaw_files.write_acronym, packages=("h5py",)),
+        ExportFormat("graspgen", "", write_parts=jaw_files.write_graspgen, default_failures=ALL_FAILURES),
+        ExportFormat("parquet", ".parquet", write_parts=tabular.write_parquet, packages=("pyarrow",)),
+        ExportFormat("webdataset", ".tar", write_parts=tabular.write_tar),
+        ExportFormat("moveit", ".yaml", yaml_files.write_moveit, default_failures=None),
+        ExportFormat("csv", ".csv", tabular.write_csv),
     )
 }
 
@@ -141,11 +114,12 @@ def export_run(
     output.check()
     tell(f"reading {folder.path}")
     with folder.journal() as journal:
-        chosen = choose_grasps(GraspReader(folder, journal), choice, wanted)
-        if len(chosen) == chosen.failures:
+        least = Outcome.MISSED if wanted else Outcome.DROPPED
+        chosen = choose_grasps(read_journal(folder, journal, least), choice, wanted)
+        if len(chosen.grasps) == chosen.failures:
             raise InputError(_no_grasps(folder, choice, journal.count))
-        tell(f"writing {counted(len(chosen), 'evaluation')} to {out}")
-        metadata = grasp_metadata(chosen, object_frame, form.places)
+        tell(f"writing {counted(len(chosen.grasps), 'evaluation')} to {out}")
+        metadata = grasp_metadata(chosen, object_frame, journal)
         with output.writing() as made:
             form.write(made, chosen, metadata)
     return _written(out, chosen, choice, metadata, object_frame)
@@ -155,7 +129,7 @@ def _written(
     out: Path, chosen: ChosenGrasps, choice: GraspChoice, metadata: GraspMetadata, frame: Frame
 ) -> str:
     beside = f" and {counted(chosen.failures, 'failure')}" if chosen.failures else ""
-    grasps = f"{counted(len(chosen) - chosen.failures, 'grasp')}{beside} written to {out}"
+    grasps = f"{counted(len(chosen.grasps) - chosen.failures, 'grasp')}{beside} written to {out}"
     note = f" But {NOT_SETTLED}." if metadata.settled == NOT_SETTLED else ""
     if choice.holds_in is not None:
         unknown = counted(chosen.unknown, "grasp")

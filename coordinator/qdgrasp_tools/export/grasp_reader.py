@@ -1,30 +1,34 @@
 """Reads, chooses and describes grasps of a run, some thousands at a time."""
 
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgpack
 import msgspec
 import numpy as np
 from msgspec import UNSET
-from numpy.lib.recfunctions import repack_fields
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.rotation import Floats, running_sum
+from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject, Vector, vector
-from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, taken_mask, takes_held
-from qdgrasp_coordinator.metrics.successes import TrialPlan, best_first, eta_bounds, find_successes
+from qdgrasp_coordinator.metrics.successes import (
+    TrialPlan,
+    best_first,
+    eta_bounds,
+    find_successes,
+    join_successes,
+)
 from qdgrasp_coordinator.storage.engine_table import TABLE, other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.rows import LIFT, Outcome, Rows
+from qdgrasp_protocol.rows import LIFT, Outcome
 from qdgrasp_protocol.spec import RunSpec, to_toml
 from qdgrasp_protocol.text import join_numbers
 from qdgrasp_tools.export.frames import COM, Frame, scene_original_base, squared_distances
@@ -34,6 +38,7 @@ from qdgrasp_tools.export.grasp_table import (
     LIFT_MEANING,
     GraspMetadata,
     RestingPoseRecord,
+    RunTable,
     SourceRun,
 )
 
@@ -48,98 +53,29 @@ def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
     all that were simulated. Raises FolderError if the folder cannot be read, or has no scene yet.
     """
     with folder.journal() as journal:
-        reader = GraspReader(folder, journal)
-        return join_grasps([reader.at(np.zeros(0, np.int64)), *reader.blocks(least)])
+        return read_journal(folder, journal, least)
 
 
-def join_grasps(parts: Sequence[Grasps]) -> Grasps:
-    """Join grasps of one run, one behind the other."""
-    return replace(
-        parts[0],
-        numbers=np.concatenate([part.numbers for part in parts]),
-        rows=join_rows([part.rows for part in parts]),
-        eta=np.concatenate([part.eta for part in parts]),
-        trials=np.concatenate([part.trials for part in parts]),
-        elsewhere={
-            name: np.concatenate([part.elsewhere[name] for part in parts]) for name in parts[0].elsewhere
-        },
-    )
+def read_journal(
+    folder: RunFolder, journal: Journal, least: Outcome, engines: Iterable[str] = (), name: str = ""
+) -> Grasps:
+    """Read them from a run's open journal, with verdicts in `engines` and those of its tables.
 
-
-class GraspReader:
-    """Reads the nominal evaluations of a run from its open journal, some thousands at a time.
-
-    Raises FolderError if the folder cannot be read, or has no scene yet.
+    `name` is what the run is called; empty: as its folder.
     """
-
-    def __init__(
-        self, folder: RunFolder, journal: Journal, engines: Iterable[str] = (), name: str = ""
-    ) -> None:
-        """Read with verdicts in `engines`, unknown without a table, and in those of its tables.
-
-        `name` is what the run is called; empty: as its folder.
-        """
-        no_table = np.zeros(0, TABLE)
-        self._tables = dict.fromkeys(engines, no_table) | other_tables(folder)
-        self.approach: ReachabilityCheck | None = None
-        """How hands are to come to the grasps that are read; None: it is not asked for."""
-        self.folder = folder
-        self.name = name or folder.path.absolute().name
-        self.journal = journal
-        self.scene = folder.scene()
-        self.spec = folder.spec
-        self._plan = TrialPlan.of(self.spec)
-
-    def blocks(self, least: Outcome = Outcome.DROPPED) -> Iterator[Grasps]:
-        """Yield those that got as far as `least`, in journal order."""
-        for part in find_successes(self.journal.blocks(), self._plan, least=least):
-            yield self._grasps(part.numbers, part.rows, self._etas(part.scores), part.trials)
-
-    def at(self, numbers: NDArray[np.int64]) -> Grasps:
-        """Read those with these numbers (n,) in the journal, in this order."""
-        order = np.argsort(numbers, kind="stable")
-        wanted, parts = numbers[order], [self.journal.shape.empty(0)]
-        first = int(wanted[0]) if len(wanted) else 0
-        for block in self.journal.blocks(first, int(wanted[-1]) + 1) if len(wanted) else ():
-            low, high = np.searchsorted(wanted, (first, first + len(block)))
-            parts.append(take_rows(block, wanted[low:high] - first))
-            first += len(block)
-        rows = take_rows(join_rows(parts), np.argsort(order))
-        etas, trials = np.full(len(rows), np.nan), np.zeros(len(rows), np.int64)
-        known_numbers, known_etas, known_trials = self._known_etas
-        _, here, there = np.intersect1d(numbers, known_numbers, return_indices=True)
-        etas[here], trials[here] = known_etas[there], known_trials[there]
-        return self._grasps(numbers, rows, etas, trials)
-
-    def _etas(self, scores: Floats) -> Floats:
-        return self._plan.eta(scores) if self._plan.trials else np.full(len(scores), np.nan)
-
-    def _grasps(
-        self, numbers: NDArray[np.int64], rows: Rows, etas: Floats, trials: NDArray[np.int64]
-    ) -> Grasps:
-        elsewhere = {name: verdicts(table, numbers, rows["outcome"]) for name, table in self._tables.items()}
-        return Grasps(self.scene, self.spec, self.name, numbers, rows, etas, trials, elsewhere, self.approach)
-
-    @cached_property
-    def _known_etas(self) -> tuple[NDArray[np.int64], Floats, NDArray[np.int64]]:
-        """The numbers of successes in the journal, ascending, and their eta and trials (n,)."""
-        blocks = self.journal.blocks() if self._plan.trials else ()
-        none = np.zeros(0, np.int64)
-        found = [
-            (part.numbers, self._etas(part.scores), part.trials)
-            for part in find_successes(blocks, self._plan)
-        ]
-        numbers, eta, trials = map(np.concatenate, zip((none, np.zeros(0), none), *found, strict=True))
-        return numbers, eta, trials
+    plan, blocks = TrialPlan.of(folder.spec), chain([journal.shape.empty(0)], journal.blocks())
+    found = join_successes([*find_successes(blocks, plan, least=least)])
+    is_known = (found.trials > 0) & ~np.isnan(found.scores)
+    eta, trials = np.where(is_known, plan.eta(found.scores), np.nan), np.where(is_known, found.trials, 0)
+    tables = dict.fromkeys(engines, np.zeros(0, TABLE)) | other_tables(folder)
+    elsewhere = {
+        engine: verdicts(table, found.numbers, found.rows["outcome"]) for engine, table in tables.items()
+    }
+    name = name or folder.path.absolute().name
+    return Grasps(folder.scene(), folder.spec, name, found.numbers, found.rows, eta, trials, elsewhere)
 
 
 PART_ROWS = 8192  # Grasps that are in memory at a time, with all their columns
-CHOSEN = np.dtype([("number", "<i8"), ("confidence", "<f8"), ("is_success", "?"), ("is_settled", "?")])
-RANKED_BY = (
-    "generation", "index", "outcome", "fitness", "base_to_object", "contacts", "penetration", "settled",
-    "contact_links", "contact_points",
-)  # fmt: skip
-"""Columns that grasps are ranked and spread by."""
 NO_APPROACH = (None, None, 0.0, None)
 ALL_FAILURES = -1  # So many failures as there are
 
@@ -234,13 +170,10 @@ def spread_places(grasps: Grasps, most: int) -> NDArray[np.int64]:
     return np.array(chosen, dtype=np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class ChosenGrasps:
-    """Grasps that were chosen from a run, read part by part each time they are iterated."""
+class ChosenGrasps(NamedTuple):
+    """Grasps that were chosen from a run."""
 
-    reader: GraspReader
-    index: NDArray[np.void]
-    """(n,), of `CHOSEN`, in the order in which they are written."""
+    grasps: Grasps
     failures: int
     """The last so many are failures."""
     min_fitness: int
@@ -248,96 +181,42 @@ class ChosenGrasps:
     unknown: int = 0
     """Grasps that were left out as their verdict in the engine that is asked for is not known."""
 
-    def __len__(self) -> int:
-        return len(self.index)
-
-    def __iter__(self) -> Iterator[Grasps]:
-        for first in range(0, len(self), PART_ROWS):
-            yield self.reader.at(self.index["number"][first : first + PART_ROWS])
-
-    @property
-    def whole(self) -> Grasps:
-        """All of them in memory."""
-        return self.reader.at(self.index["number"])
-
     @property
     def best(self) -> float | None:
         """The best confidence; None: there is no grasp."""
-        grasps = self.index["confidence"][: len(self) - self.failures]  # failures stand behind them
-        return float(grasps.max()) if len(grasps) else None
+        confidence = self.grasps.confidence[: len(self.grasps) - self.failures]
+        return float(confidence.max()) if len(confidence) else None
 
-    @property
-    def scene(self) -> Scene:
-        """The scene of the run."""
-        return self.reader.scene
-
-    @property
-    def spec(self) -> RunSpec:
-        """The spec of the run's folder."""
-        return self.reader.spec
-
-    @property
-    def approach(self) -> "ReachabilityCheck | None":
-        """Check of the hands' ways to grasps; None: it was not asked for."""
-        return self.reader.approach
-
-    @property
-    def is_success(self) -> NDArray[np.bool_]:
-        """(n,): as of `Grasps`."""
-        return np.asarray(self.index["is_success"])
-
-    @property
-    def is_settled(self) -> NDArray[np.bool_]:
-        """(n,): as of `Grasps`."""
-        return np.asarray(self.index["is_settled"])
+    def tables(self, frame: Frame, metadata: GraspMetadata | None = None) -> Iterator[RunTable]:
+        """Yield them as files have them, some thousand at a time."""
+        for first in range(0, len(self.grasps), PART_ROWS):
+            yield self.grasps[first : first + PART_ROWS].table(frame, metadata)
 
 
-def choose_grasps(reader: GraspReader, choice: GraspChoice, failures: int = 0) -> ChosenGrasps:
-    """Choose grasps of a run as `select_grasps` does, without holding its rows in memory.
+def choose_grasps(every: Grasps, choice: GraspChoice, failures: int = 0) -> ChosenGrasps:
+    """Choose from the successes of a run, and from its failures if there are any among `every`.
 
-    Behind them stand failures, evaluations that were no grasps: at most so many, spread over the journal.
+    Behind the grasps stand failures, evaluations that were no grasps: at most so many, spread over the
+    journal.
     """
-    is_ranked = choice.top is not None or choice.diverse is not None
     unknown, least = 0, choice.min_fitness
     if least is None:
-        least = reader.spec.disturbances if takes_held(reader.spec) else 1
-    reader.approach = choice.reachability(reader.scene, reader.spec)
-    good, bad, ranked = [np.zeros(0, CHOSEN)], [np.zeros(0, CHOSEN)], []
-    for block in reader.blocks(Outcome.MISSED if failures else Outcome.DROPPED):
-        found = select_grasps(
-            block,
-            choice.min_fitness,
-            limits=choice.limits,
-            holds_in=choice.holds_in,
-            approach=reader.approach,
-        )
-        if choice.holds_in is not None:
-            every = select_grasps(block, choice.min_fitness)
-            unknown += int((every.verdicts_in(choice.holds_in) < 0).sum())
-        found = found[found.confidence >= choice.min_quality]
-        least = int(found.fitness.min(initial=least))  # a custom evaluator's grasps may hold with less
-        if is_ranked:
-            names = [name for name in RANKED_BY if name in (found.rows.dtype.names or ())]
-            ranked.append(replace(found, rows=repack_fields(found.rows[names])))
-        else:
-            good.append(_index(found))
-        if failures:
-            bad.append(_index(block[~block.is_grasp]))
-    if ranked:
-        good.append(_index(select_grasps(join_grasps(ranked), 0, choice.top, choice.diverse)))
-    chosen, others = np.concatenate(good), np.concatenate(bad)
-    if failures and least < 1:
-        others = others[~np.isin(others["number"], chosen["number"])]
+        least = every.spec.disturbances if takes_held(every.spec) else 1
+    if choice.holds_in is not None:
+        known = select_grasps(every, choice.min_fitness).verdicts_in(choice.holds_in)
+        unknown = int((known < 0).sum())
+    every = replace(every, approach=choice.reachability(every.scene, every.spec))
+    found = select_grasps(
+        every, choice.min_fitness, None, None, choice.limits, choice.holds_in, every.approach
+    )
+    found = found[found.confidence >= choice.min_quality]
+    least = int(found.fitness.min(initial=least))  # a custom evaluator's grasps may hold with less
+    found = select_grasps(found, 0, choice.top, choice.diverse)
+    places = np.searchsorted(every.numbers, found.numbers)
+    others = np.setdiff1d(np.flatnonzero(~every.is_grasp), places) if failures else places[:0]
     if failures != ALL_FAILURES and failures < len(others):
         others = others[np.linspace(0, len(others) - 1, failures).round().astype(np.int64)]
-    return ChosenGrasps(reader, np.concatenate([chosen, others]), len(others), least, unknown)
-
-
-def _index(grasps: Grasps) -> NDArray[np.void]:
-    index = np.zeros(len(grasps), CHOSEN)
-    for name in CHOSEN.names or ():
-        index[name] = grasps.numbers if name == "number" else getattr(grasps, name)
-    return index
+    return ChosenGrasps(every[np.concatenate([places, others])], len(others), least, unknown)
 
 
 ETA_WORDS = (
@@ -351,25 +230,12 @@ OBJECT_FRAMES: dict[Frame, str] = {
     "mesh": "that of {}: its origin and axes, its lengths times object_scale",
     "com": "origin at the centre of mass, axes of {}",
 }
-PREGRASP_WORDS = "the commanded pose with open joints, before closing"
-SETTLED_WORDS = "the settled pose with the joints after closing"
-CONTACT_WORDS = "after closing: point on the object, unit normal into it, force along the normal"
 NOT_SETTLED = "this run was recorded before settled poses were; the grasp pose is the commanded one"
 XYZW = "x, y, z, w"
 MICROMETRE = 6  # Decimals of a length [m]
 
 
-@dataclass(frozen=True)
-class PosePlaces:
-    """Places of the two poses and the contacts in a format."""
-
-    pregrasp: str
-    grasp: str
-    contacts: str = ""
-    """Empty: the format has no place for them."""
-
-
-def _settled_words(grasps: ChosenGrasps) -> str:
+def _settled_words(grasps: Grasps) -> str:
     """Say of how many successes the settled pose was recorded."""
     known, successes = np.count_nonzero(grasps.is_settled), np.count_nonzero(grasps.is_success)
     if not known:
@@ -379,15 +245,14 @@ def _settled_words(grasps: ChosenGrasps) -> str:
     return f"recorded of {known} of {successes} successes; the grasp pose of the others is the commanded one"
 
 
-def grasp_metadata(grasps: ChosenGrasps, frame: Frame, places: PosePlaces) -> GraspMetadata:
-    """Make the metadata of a file of grasps from a run's folder, in a frame of the object."""
-    scene = grasps.scene
+def grasp_metadata(chosen: ChosenGrasps, frame: Frame, journal: Journal) -> GraspMetadata:
+    """Make the metadata of a file of a run's grasps, in a frame of the object."""
+    grasps, scene = chosen.grasps, chosen.grasps.scene
     hand, body = scene.gripper, scene.object
     file = Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else ""
     check, origin = grasps.approach, (0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh
-    journal, folder = grasps.reader.journal, grasps.reader.folder
-    spec = _public_spec(folder.spec)
-    runs = (SourceRun(run=grasps.reader.name, digest=journal_digest(journal), spec=spec),)
+    spec = _public_spec(grasps.spec)
+    runs = (SourceRun(run=grasps.run, digest=journal_digest(journal), spec=spec),)
     return GraspMetadata(
         qdgrasp=version("qdgrasp"),
         gripper=hand.name,
@@ -415,11 +280,8 @@ def grasp_metadata(grasps: ChosenGrasps, frame: Frame, places: PosePlaces) -> Gr
         quaternions=XYZW,
         protocol=scene.protocol,
         fitness=LIFT_MEANING if scene.protocol == LIFT else FITNESS_MEANING,
-        min_fitness=grasps.min_fitness,
+        min_fitness=chosen.min_fitness,
         confidence=_confidence_words(grasps.spec),
-        pregrasp_pose=f"{PREGRASP_WORDS}: {places.pregrasp}",
-        grasp_pose=f"{SETTLED_WORDS}: {places.grasp}",
-        contacts=f"{CONTACT_WORDS}: {places.contacts}" if places.contacts else "not in this format",
         settled=_settled_words(grasps),
         approach_distance=UNSET if check is None else check.distance,
         resting_poses=_resting_poses(check, origin) if check and check.poses else UNSET,

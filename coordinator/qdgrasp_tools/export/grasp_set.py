@@ -37,7 +37,14 @@ from qdgrasp_tools.export.frames import (
     frame_of,
     to_matrices,
 )
-from qdgrasp_tools.export.grasp_table import LIFT_MEANING, GraspColumn, GraspContacts, GraspMetadata, RunTable
+from qdgrasp_tools.export.grasp_table import (
+    LIFT_MEANING,
+    GraspColumn,
+    GraspContacts,
+    GraspMetadata,
+    RunTable,
+    common_values,
+)
 
 if TYPE_CHECKING:  # scipy takes its time
     from trimesh import Scene as TrimeshScene
@@ -45,8 +52,6 @@ if TYPE_CHECKING:  # scipy takes its time
     from qdgrasp_assets.grippers.reachability import Reach, ReachabilityCheck
 
 GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
-
-
 JOINT, PREGRASP = "joint.", "pregrasp."  # Prefixes of columns of joints; the joint's name follows
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 SETTLED = "settled_"  # Prefix of columns of the settled pose
@@ -197,13 +202,14 @@ class Grasps:
 
     def _grasp(self, place: int) -> Grasp:
         row, names = self.rows[place], (*self.synergy_names, "")
+        pose, settled = (poses[place] for poses in self._in_mesh)
         return Grasp(
             number=int(self.numbers[place]),
-            position=self._in_mesh[place, :3],
-            quaternion_xyzw=self._in_mesh[place, 3:],
+            position=pose[:3],
+            quaternion_xyzw=pose[3:],
             pregrasp=self.pregrasp[place],
-            settled_position=self._settled_in_mesh[place, :3],
-            settled_quaternion_xyzw=self._settled_in_mesh[place, 3:],
+            settled_position=settled[:3],
+            settled_quaternion_xyzw=settled[3:],
             joints=row["joints"],
             synergy=names[self.synergies[place]],
             outcome=Outcome(row["outcome"]),
@@ -217,12 +223,8 @@ class Grasps:
         )
 
     @cached_property
-    def _in_mesh(self) -> Floats:
-        return self.poses(MESH)
-
-    @cached_property
-    def _settled_in_mesh(self) -> Floats:
-        return self.settled_poses(MESH)
+    def _in_mesh(self) -> tuple[Floats, Floats]:
+        return self.poses(MESH), self.settled_poses(MESH)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -424,6 +426,7 @@ class Grasps:
             columns={column.name: column for column in self._columns(frame, settled)},
             approach=None if self.approach is None else self.approach_poses(frame),
             resting_poses=self.resting_poses if has_table else None,
+            same=common_values(self.spec),
         )
 
     def _columns(self, frame: Frame, settled: Floats) -> Iterator[GraspColumn]:

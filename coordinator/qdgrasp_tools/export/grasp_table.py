@@ -1,6 +1,6 @@
 """The table of grasps that each format is written from and read into; its metadata."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,14 +13,16 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.search.fixed_poses import FARTHEST
+from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import NO_SYNERGY
-from qdgrasp_protocol.spec import RunSpec, from_toml
+from qdgrasp_protocol.spec import ObjectRecord, RunSpec, from_toml
 from qdgrasp_protocol.text import join_numbers
 from qdgrasp_tools.export.frames import Frame, jaw_turn, to_matrices, turn_hand_axes
 
-SUCCESS_WORDS = "a finger touches the object after closing"
-GRASP_WORDS = "a success that survives at least one disturbance: fitness 1 or more"
+POSE_WORDS = (
+    "the commanded pose goes with the joints before closing (pregrasp), the settled pose with those after it"
+)
 FITNESS_MEANING = (
     "disturbances survived in the nominal evaluation: 0 to 2 shakes, in `physical` 0 to 6 pushes; "
     "higher is better"
@@ -115,19 +117,12 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     """Order of their components in this file."""
     units: str = UNITS
     protocol: str
-    success: str = SUCCESS_WORDS
-    grasp: str = GRASP_WORDS
     fitness: str = FITNESS_MEANING
     min_fitness: int
     """Least fitness of the grasps that were taken."""
     confidence: str
     """Its meaning, 0 to 1; higher is better."""
-    pregrasp_pose: str
-    """Place of the commanded poses with open joints."""
-    grasp_pose: str
-    """Place of the settled poses with the joints after closing."""
-    contacts: str
-    """Place and meaning of the contacts."""
+    poses: str = POSE_WORDS
     settled: str
     """Whether settled poses and contacts were recorded."""
     approach_distance: float | UnsetType = UNSET
@@ -147,6 +142,25 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     def json(self) -> str:
         """The fields as one JSON object."""
         return msgspec.json.encode(self).decode()
+
+
+def asset_name(name: str) -> str:
+    """Return the name of a gripper or an object, or that of its file."""
+    return Path(name).stem if Path(name).suffix else name
+
+
+def common_values(spec: RunSpec) -> dict[str, str | int]:
+    """Return what all grasps of a run have in common, by the names of columns."""
+    about = spec.about or ObjectRecord()
+    return {
+        "object": about.id or asset_name(spec.object),
+        "gripper": asset_name(spec.gripper),
+        "category": about.category,
+        "method": spec.method,
+        "seed": spec.seed,
+        "protocol": spec.protocol,
+        "engine": spec.engine or DEFAULT_ENGINE,
+    }
 
 
 class GraspContacts(NamedTuple):
@@ -204,6 +218,17 @@ class GraspTable:
     def __len__(self) -> int:
         return len(self.poses)
 
+    def with_metadata(self, about: GraspMetadata) -> "GraspTable":
+        """Return the table of a file of ours, with what its metadata says."""
+        return replace(
+            self,
+            frame=about.frame,
+            gripper=about.gripper,
+            link=about.gripper_frame,
+            scale=about.object_scale,
+            metadata=about,
+        )
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RunTable(GraspTable):
@@ -224,6 +249,8 @@ class RunTable(GraspTable):
     """Contacts after closing, points in `frame`."""
     columns: dict[str, GraspColumn]
     """Every value of a grasp as columns, by name."""
+    same: dict[str, str | int]
+    """Values that all grasps of the run have: object, gripper, method and others, by name."""
     approach: Floats | None = None
     """(n, 7): the poses from which open hands come to the commanded ones; None: not asked for."""
     resting_poses: list[list[int]] | None = None

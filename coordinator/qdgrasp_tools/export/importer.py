@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +18,7 @@ from qdgrasp_assets.geometry.rotation import Floats, conjugate
 from qdgrasp_assets.object_model import read_solid
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.storage.outputs import OutFile
+from qdgrasp_coordinator.storage.tables import read_csv
 from qdgrasp_protocol.errors import InputError, check_packages
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
@@ -119,20 +119,13 @@ def read_dataset(folder: Path, gripper: str, object_: str) -> GraspTable:
 
 
 def _dataset_grasps(folder: Path, gripper: str, object_: str) -> GraspTable:
-    found = [
-        line
-        for line in dataset.read_index(folder)
-        if line["gripper"] == gripper and line["object"] == object_ and line["rows"]
-    ]
-    if not found:
-        reason = f"its {dataset.INDEX_CSV} has no grasp of gripper '{gripper}' on object '{object_}'"
+    lines = read_csv(folder / dataset.INDEX, ("gripper", "object", "files"))
+    ours = [line for line in lines if (line["gripper"], line["object"]) == (gripper, object_)]
+    files = [folder / name for line in ours for name in line["files"].split() if name.endswith(".parquet")]
+    if not files:
+        reason = f"it has no Parquet with a grasp of gripper '{gripper}' on object '{object_}'"
         raise UnreadableGrasps(folder, reason)
-    told = [msgspec.json.decode(line["about"], type=GraspMetadata) for line in found]
-    if len({each.object_sha256 for each in told}) > 1:
-        raise UnreadableGrasps(folder, f"it has different objects that are called '{object_}'")
-    files = dict.fromkeys(folder / name for line in found for name in line["files"])
-    metadata = msgspec.structs.replace(told[0], runs=tuple(run for each in told for run in each.runs))
-    return tabular.read_shards(files, gripper, object_, metadata)
+    return tabular.read_parquet(*files)
 
 
 READERS = (

@@ -21,8 +21,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from msgspec import Struct
-from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import parts_to_obj
 from qdgrasp_tools.export.frames import from_matrices, object_solid
@@ -111,9 +109,6 @@ def read_acronym(path: Path) -> GraspTable:
 
     with h5py.File(path) as file:
         matrices = check_matrices(path, np.array(file[TRANSFORMS], dtype=np.float64))
-        about = None
-        if ABOUT in file:
-            about = msgspec.json.decode(file[ABOUT].asstr()[()], type=GraspMetadata)
         quality = CONFIDENCE if CONFIDENCE in file else SUCCESSES
         numbers = {name: float(file[f"object/{name}"][()]) for name in ("scale", "mass", "friction")
                    if f"object/{name}" in file}  # fmt: skip
@@ -121,29 +116,21 @@ def read_acronym(path: Path) -> GraspTable:
         if SYNERGY in file:
             names = np.array([*file[SYNERGIES].asstr()[()], ""], dtype=str)
             synergies = names[np.array(file[SYNERGY], dtype=np.int64)]
-        kind = file["gripper/type"].asstr()[()] if "gripper/type" in file else None
-        return GraspTable(
+        table = GraspTable(
             names=np.array(file[NUMBERS] if NUMBERS in file else np.arange(len(matrices))).astype(str),
             poses=from_matrices(matrices),
             has_jaw_axes=True,
-            frame=about.frame if about else None,
-            gripper=about.gripper if about else kind,
-            link=about.gripper_frame if about else None,
+            gripper=file["gripper/type"].asstr()[()] if "gripper/type" in file else None,
             joint_names=tuple(file[JOINTS].asstr()[()]) if STARTS in file else (),
             pregrasp=np.array(file[STARTS], dtype=np.float64) if STARTS in file else None,
             synergies=synergies,
             confidence=np.array(file[quality], dtype=np.float64) if quality in file else None,
-            metadata=about,
-            **numbers,
+            scale=numbers.get("scale"),
+            mass=numbers.get("mass"),
+            friction=numbers.get("friction"),
         )
-
-
-class FlatAcronym(Struct):
-    """The flat JSON that readers of ACRONYM take too."""
-
-    transforms: list[list[list[float]]]
-    object_scale: float | None = None
-    quality_flex_object_in_gripper: list[float | bool] | None = None
+        about = file[ABOUT].asstr()[()] if ABOUT in file else None
+    return table if about is None else table.with_metadata(msgspec.json.decode(about, type=GraspMetadata))
 
 
 INDEX_FILE = "map_uuid_to_path.json"
@@ -254,73 +241,28 @@ def _contacts(table: RunTable) -> list[list[dict[str, Any]]]:
     ]
 
 
-class GraspGenObject(Struct):
-    """The object."""
-
-    scale: float | None = None
-
-
-class GraspGenTransforms(Struct):
-    """Grasps and failures."""
-
-    transforms: list[list[list[float]]]
-    object_in_gripper: list[bool | float] | None = None
-
-
-class GraspGenExtras(Struct):
-    """Values without a place in the format, in the order of the transforms."""
-
-    number: list[int]
-    pregrasp_joint_positions: list[list[float]]
-    synergy: list[str]
-
-
-class GraspGenMetadata(GraspMetadata, frozen=True, kw_only=True):
-    """The block `qdgrasp`."""
-
-    joint_names: tuple[str, ...]
-    grasps: GraspGenExtras
-
-
-class GraspGenFile(Struct):
-    """A JSON file of grasps."""
-
-    grasps: GraspGenTransforms
-    object: GraspGenObject
-    qdgrasp: GraspGenMetadata | None = None
-
-
 def read_json(path: Path) -> GraspTable:
     """Read the grasps in a JSON file of GraspGen, or the flat one of ACRONYM."""
-    text = path.read_bytes()
-    if "grasps" not in msgspec.json.decode(text, type=dict[str, msgspec.Raw]):
-        flat = msgspec.json.decode(text, type=FlatAcronym)
-        return _matrix_table(path, flat.transforms, flat.quality_flex_object_in_gripper, flat.object_scale)
-    file = msgspec.json.decode(text, type=GraspGenFile)
-    table = _matrix_table(path, file.grasps.transforms, file.grasps.object_in_gripper, file.object.scale)
-    if (ours := file.qdgrasp) is None:
-        return table
-    return replace(
-        table,
-        names=np.array(ours.grasps.number, dtype=np.int64).astype(str),
-        joint_names=ours.joint_names,
-        pregrasp=np.array(ours.grasps.pregrasp_joint_positions, dtype=np.float64),
-        synergies=np.array(ours.grasps.synergy, dtype=str),
-        frame=ours.frame,
-        gripper=ours.gripper,
-        link=ours.gripper_frame,
-        scale=ours.object_scale,
-        metadata=ours,
-    )
-
-
-def _matrix_table(path: Path, transforms: Any, quality: Any, scale: float | None) -> GraspTable:
-    matrices = check_matrices(path, np.array(transforms or np.zeros((0, 4, 4)), dtype=np.float64))
-    confidence: NDArray[np.float64] | None = None if quality is None else np.array(quality, dtype=np.float64)
-    return GraspTable(
+    file = json.loads(path.read_bytes())
+    grasps, ours = file.get("grasps", file), file.get("qdgrasp")
+    scale = file["object"].get("scale") if "grasps" in file else file.get("object_scale")
+    quality = grasps.get("object_in_gripper", file.get("quality_flex_object_in_gripper"))
+    transforms = np.array(grasps["transforms"] or np.zeros((0, 4, 4)), dtype=np.float64)
+    matrices = check_matrices(path, transforms)
+    table = GraspTable(
         names=np.arange(len(matrices)).astype(str),
         poses=from_matrices(matrices),
         has_jaw_axes=True,
-        confidence=confidence,
+        confidence=None if quality is None else np.array(quality, dtype=np.float64),
         scale=scale,
     )
+    if ours is None:
+        return table
+    lists = ours["grasps"]
+    return replace(
+        table,
+        names=np.array(lists["number"], dtype=np.int64).astype(str),
+        joint_names=tuple(ours["joint_names"]),
+        pregrasp=np.array(lists["pregrasp_joint_positions"], dtype=np.float64),
+        synergies=np.array(lists["synergy"], dtype=str),
+    ).with_metadata(msgspec.convert(ours, GraspMetadata))

@@ -7,10 +7,12 @@ written some thousand grasps at a time.
 import io
 import tarfile
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -39,9 +41,7 @@ SAME_MEANINGS = {
     "protocol": "the evaluation protocol",
     "engine": "the physics engine",
 }
-"""Columns of a data set that have one value for all grasps of a run."""
-NO_COLUMNS: Mapping[str, str | int] = MappingProxyType({})
-ROW_GROUP = 65_536  # Rows of a row group
+"""Columns that have one value for all grasps of a run."""
 
 
 def write_csv(path: Path, table: RunTable) -> None:
@@ -67,54 +67,17 @@ def _plain(values: NDArray[np.generic]) -> list[Any]:
     return [None if value != value else value for value in exact_decimals(numbers).tolist()]
 
 
-class ParquetShard:
-    """A Parquet file that grows by tables, compressed with zstd; for a with-block."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._writer: Any = None
-        self._waiting: list[Any] = []
-
-    def add(self, table: Any) -> None:
-        """Add the rows of a table of Arrow; all have the columns of the first."""
-        import pyarrow.parquet as pq
-
-        if self._writer is None:
-            self._writer = pq.ParquetWriter(self._path, table.schema, compression="zstd")
-        self._waiting.append(table.cast(self._writer.schema))
-        if sum(map(len, self._waiting)) >= ROW_GROUP:
-            self._write()
-
-    def fits(self, table: Any) -> bool:
-        """Return whether a table has the columns of the first one."""
-        return self._writer is None or self._writer.schema.names == table.schema.names
-
-    @property
-    def size(self) -> int:
-        """Bytes that are in the file by now, up to a row group less than there will be."""
-        return self._path.stat().st_size if self._path.exists() else 0
-
-    def _write(self) -> None:
-        import pyarrow as pa
-
-        if self._waiting:
-            self._writer.write_table(pa.concat_tables(self._waiting), row_group_size=ROW_GROUP)
-            self._waiting.clear()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._write()
-        if self._writer is not None:
-            self._writer.close()
-
-
 def write_parquet(path: Path, parts: Iterable[RunTable]) -> None:
-    """Write grasps as a Parquet file; memory does not grow with the grasps."""
-    with ParquetShard(path) as shard:
+    """Write grasps as a Parquet file compressed with zstd, part by part."""
+    import pyarrow.parquet as pq
+
+    with ExitStack() as opened:
+        writer: Any = None
         for table in parts:
-            shard.add(arrow_table(table, {METADATA_KEY: table.about.json}))
+            rows = arrow_table(table, {METADATA_KEY: table.about.json})
+            if writer is None:
+                writer = opened.enter_context(pq.ParquetWriter(path, rows.schema, compression="zstd"))
+            writer.write_table(rows.cast(writer.schema))
 
 
 def load_pandas() -> Any:
@@ -127,20 +90,12 @@ def load_pandas() -> Any:
         ) from None
 
 
-def arrow_table(
-    table: RunTable,
-    metadata: Mapping[str, str] = MappingProxyType({}),
-    same: Mapping[str, str | int] = NO_COLUMNS,
-) -> Any:
-    """Return grasps as a table of Arrow.
-
-    `same` are columns in front that have one value each; `metadata` is that of the schema.
-    """
+def arrow_table(table: RunTable, metadata: Mapping[str, str] = MappingProxyType({})) -> Any:
+    """Return grasps as a table of Arrow, with this metadata in its schema."""
     import pyarrow as pa
 
-    count = len(table)
-    arrays = {name: _arrow_array(np.full(count, value)) for name, value in same.items()}
-    meanings = {name: SAME_MEANINGS[name] for name in same}
+    arrays = {name: _arrow_array(np.full(len(table), value)) for name, value in table.same.items()}
+    meanings = dict(SAME_MEANINGS)
     arrays[POSE_COLUMN] = pa.FixedSizeListArray.from_arrays(pa.array(table.base_to_object.ravel()), 7)
     meanings[POSE_COLUMN] = "the pose as simulated: x y z [m] qx qy qz qw, centre-of-mass frame"
     for column in table.columns.values():
@@ -178,88 +133,56 @@ def _contact_lists(table: RunTable) -> Any:
     return pa.ListArray.from_arrays(ends, values, mask=pa.array(~table.is_settled))
 
 
-class TarShard:
-    """A tar file of samples, KEY.json and KEY.npz, as WebDataset reads them; for a with-block.
-
-    A sample is some thousand grasps of one run. The arrays of KEY.npz are the columns of the table, each
-    (n,), `base_to_object` (n, 7), and contacts in k slots each: `contact_links` (n, k) with places in
-    `links` of KEY.json, -1 for none, `contact_points`, `contact_normals` (n, k, 3), `contact_forces` (n, k).
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._tar = tarfile.open(path, "w", format=tarfile.PAX_FORMAT)  # noqa: SIM115  # closed by __exit__
-
-    @property
-    def size(self) -> int:
-        """Bytes that are in the file by now."""
-        return self._tar.offset
-
-    def add(self, key: str, table: RunTable, about: Mapping[str, Any]) -> None:
-        """Add a sample; its key has no point in it."""
-        arrays: dict[str, NDArray[np.generic]] = {POSE_COLUMN: table.base_to_object}
-        arrays |= {column.name: column.values for column in table.columns.values()}
-        arrays["contact_links"] = table.contacts.links.astype(np.int16) - 1
-        for name in ("points", "normals", "forces"):
-            arrays[f"contact_{name}"] = getattr(table.contacts, name).astype(np.float32)
-        packed = io.BytesIO()
-        np.savez_compressed(packed, allow_pickle=False, **arrays)
-        words = dict(about) | {"links": table.scene.gripper.links}
-        for suffix, payload in (("json", msgspec.json.encode(words)), ("npz", packed.getvalue())):
-            member = tarfile.TarInfo(f"{key}.{suffix}")
-            member.size = len(payload)
-            self._tar.addfile(member, io.BytesIO(payload))
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._tar.close()
-
-
 def write_tar(path: Path, parts: Iterable[RunTable]) -> None:
-    """Write grasps as samples in a tar file; memory does not grow with the grasps."""
-    with TarShard(path) as shard:
+    """Write grasps as samples in a tar file, KEY.json and KEY.npz, as WebDataset reads them.
+
+    A sample is some thousand grasps. The arrays of KEY.npz are the columns of the table, each (n,),
+    `base_to_object` (n, 7), and contacts in k slots each: `contact_links` (n, k) with places in `links` of
+    KEY.json, -1 for none, `contact_points`, `contact_normals` (n, k, 3), `contact_forces` (n, k).
+    """
+    with tarfile.open(path, "w", format=tarfile.PAX_FORMAT) as tar:
         for number, table in enumerate(parts):
-            shard.add(f"{number:06}", table, table.about.values)
+            arrays: dict[str, NDArray[np.generic]] = {POSE_COLUMN: table.base_to_object}
+            arrays |= {column.name: column.values for column in table.columns.values()}
+            arrays["contact_links"] = table.contacts.links.astype(np.int16) - 1
+            for name in ("points", "normals", "forces"):
+                arrays[f"contact_{name}"] = getattr(table.contacts, name).astype(np.float32)
+            packed = io.BytesIO()
+            np.savez_compressed(packed, allow_pickle=False, **arrays)
+            words = table.about.values | table.same | {"links": table.scene.gripper.links}
+            for suffix, payload in (("json", msgspec.json.encode(words)), ("npz", packed.getvalue())):
+                member = tarfile.TarInfo(f"{table['run'][0]}-{number:06}.{suffix}")
+                member.size = len(payload)
+                tar.addfile(member, io.BytesIO(payload))
 
 
-def read_parquet(path: Path) -> GraspTable:
-    """Read the grasps in a Parquet file that `write_parquet` wrote."""
-    import pyarrow.parquet as pq
-
-    entries = pq.read_schema(path).metadata or {}
-    if METADATA_KEY.encode() not in entries:
-        raise UnreadableGrasps(path, "it is a Parquet file, but not one that `qdgrasp export` wrote")
-    metadata = msgspec.json.decode(entries[METADATA_KEY.encode()], type=GraspMetadata)
-    return _table_of(pq.read_table(path, use_threads=False), metadata)
-
-
-def read_shards(files: Iterable[Path], gripper: str, object_: str, metadata: GraspMetadata) -> GraspTable:
-    """Read the grasps of a hand on an object from a data set's Parquet, named RUN/NUMBER."""
+def read_parquet(*paths: Path) -> GraspTable:
+    """Read the grasps in Parquet files of one hand and object; of several, named RUN/NUMBER."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    ours = [("object", "==", object_), ("gripper", "==", gripper)]
-    table = pa.concat_tables([pq.read_table(file, filters=ours, use_threads=False) for file in files])
-    return _table_of(table, metadata, [f"{run}/" for run in table["run"].to_pylist()])
-
-
-def _table_of(table: Any, metadata: GraspMetadata, begins: Iterable[str] = ()) -> GraspTable:
-    """Convert a table of Arrow; its poses are those in `base_to_object`, CoM frame."""
-    simulated = table[POSE_COLUMN].combine_chunks().flatten()
+    tables = [pq.read_table(path, use_threads=False) for path in paths]
+    told = []
+    for path, each in zip(paths, tables, strict=True):
+        if METADATA_KEY.encode() not in (each.schema.metadata or {}):
+            raise UnreadableGrasps(path, "it is a Parquet file, but not one that `qdgrasp export` wrote")
+        told.append(msgspec.json.decode(each.schema.metadata[METADATA_KEY.encode()], type=GraspMetadata))
+    if len({each.object_sha256 for each in told}) > 1:
+        raise UnreadableGrasps(paths[0], f"different objects are called '{told[0].object}' beside it")
+    about = msgspec.structs.replace(told[0], runs=tuple(run for each in told for run in each.runs))
+    table = pa.concat_tables(tables, promote_options="default")
+    names = np.asarray(table["number"]).astype(str).tolist()
+    if len(paths) > 1:
+        names = [f"{run}/{name}" for run, name in zip(table["run"].to_pylist(), names, strict=True)]
     joints = [name for name in table.column_names if name.startswith(PREGRASP)]
     starts = [np.asarray(table[name], dtype=np.float64) for name in joints]
-    numbers = np.asarray(table["number"]).astype(str)
-    return GraspTable(
-        names=np.array(list(map("".join, zip(begins, numbers, strict=True)))) if begins else numbers,
+    simulated = table[POSE_COLUMN].combine_chunks().flatten()
+    found = GraspTable(
+        names=np.array(names, dtype=str),
         poses=np.asarray(simulated, dtype=np.float64).reshape(-1, 7),
         joint_names=tuple(name.removeprefix(PREGRASP) for name in joints),
         pregrasp=np.stack(starts, axis=1) if starts else None,
         synergies=np.array([name or "" for name in table["synergy"].to_pylist()], dtype=str),
         confidence=np.asarray(table["confidence"], dtype=np.float64),
-        scale=metadata.object_scale,
-        frame=COM,
-        gripper=metadata.gripper,
-        link=metadata.gripper_frame,
-        metadata=metadata,
     )
+    return replace(found.with_metadata(about), frame=COM)  # poses are those in `base_to_object`

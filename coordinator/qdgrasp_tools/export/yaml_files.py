@@ -15,12 +15,12 @@ comes with `pre_grasp_posture` and where it closes. Messages have no place for t
 block `qdgrasp`. Approach and retreat, along the hand's own approach axis, are suggestions.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_protocol.rows import NO_SYNERGY
@@ -163,88 +163,39 @@ def _posture(names: list[str], positions: NDArray[np.floating]) -> dict[str, Any
     return {"header": _header(""), "joint_names": names, "points": [point]}
 
 
-Vector = tuple[float, float, float]
-
-
-class IsaacOrientation(Struct):
-    """A quaternion."""
-
-    w: float
-    xyz: Vector
-
-
-class IsaacGrasp(Struct, kw_only=True):
-    """One grasp; the pose after closing, and of ours the one before."""
-
-    position: Vector
-    orientation: IsaacOrientation
-    pregrasp_position: Vector | None = None
-    pregrasp_orientation: IsaacOrientation | None = None
-    confidence: float | None = None
-    cspace_position: dict[str, float] = {}
-    pregrasp_cspace_position: dict[str, float] = {}
-
-    @property
-    def pose(self) -> list[float]:
-        """Position [m] and quaternion xyzw, of the commanded pose where the file has it."""
-        position = self.pregrasp_position or self.position
-        turn = self.pregrasp_orientation or self.orientation
-        return [*position, *turn.xyz, turn.w]
-
-
-class IsaacLists(Struct):
-    """Values of ours in the order of the grasps."""
-
-    synergy: list[str] | None = None
-
-
-class IsaacMetadata(GraspMetadata, frozen=True, kw_only=True):
-    """The block `qdgrasp`."""
-
-    grasps: IsaacLists
-
-
-class IsaacFile(Struct, kw_only=True):
-    """A file of grasps."""
-
-    format: str = ""
-    format_version: float = 0.0
-    grasps: dict[str | int, IsaacGrasp]
-    gripper_frame_link: str | None = None
-    gripper_frame: str | None = None
-    qdgrasp: IsaacMetadata | None = None
-
-
 def read_isaac(path: Path) -> GraspTable:
     """Read the grasps in an Isaac Grasp YAML file, of ours or of others."""
     import yaml
 
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     with path.open("rb") as text:
-        values = yaml.load(text, Loader=loader)  # noqa: S506  # a safe one
-    if not isinstance(values, dict) or values.get("format") != FORMAT:
+        file = yaml.load(text, Loader=loader)  # noqa: S506  # a safe one
+    if not isinstance(file, dict) or file.get("format") != FORMAT:
         raise UnreadableGrasps(path, f"it is YAML, but not an Isaac grasp file: it has no 'format: {FORMAT}'")
-    file = msgspec.convert(values, IsaacFile, strict=False)
-    if file.format_version != VERSION:
-        raise UnreadableGrasps(path, f"it is of format version {file.format_version}; {VERSION} is read")
-    grasps, about = list(file.grasps.values()), file.qdgrasp
-    starts = [grasp.pregrasp_cspace_position for grasp in grasps]
-    joints = tuple(dict.fromkeys(name for each in grasps for name in each.cspace_position))
-    joints = tuple(dict.fromkeys([*(name for each in starts for name in each), *joints]))
-    link = file.gripper_frame_link or file.gripper_frame
-    nan = float("nan")
-    return GraspTable(
-        names=np.array(list(file.grasps), dtype=str),
-        poses=np.array([grasp.pose for grasp in grasps]).reshape(-1, 7),
-        frame=about.frame if about else None,
-        gripper=about.gripper if about else None,
-        link=about.gripper_frame if about else link and link.rsplit("/", 1)[-1],  # a path in the stage
-        joint_names=joints,
-        pregrasp=np.array([[each.get(name, nan) for name in joints] for each in starts]).reshape(
-            -1, len(joints)
-        ),
-        synergies=np.array(about.grasps.synergy, dtype=str) if about and about.grasps.synergy else None,
-        confidence=np.array([nan if each.confidence is None else each.confidence for each in grasps]),
-        scale=about.object_scale if about else None,
-        metadata=about,
+    if float(file.get("format_version", 0.0)) != VERSION:
+        raise UnreadableGrasps(path, f"it is of format version {file['format_version']}; {VERSION} is read")
+    grasps, ours = list(file["grasps"].values()), file.get("qdgrasp")
+    names = dict.fromkeys(name for each in grasps for name in each.get("pregrasp_cspace_position", ()))
+    names |= dict.fromkeys(name for each in grasps for name in each.get("cspace_position", ()))
+    starts = [[each.get("pregrasp_cspace_position", {}).get(name) for name in names] for each in grasps]
+    link = file.get("gripper_frame_link") or file.get("gripper_frame")
+    table = GraspTable(
+        names=np.array(list(file["grasps"]), dtype=str),
+        poses=np.array([_commanded_pose(each) for each in grasps], dtype=np.float64).reshape(-1, 7),
+        link=link and link.rsplit("/", 1)[-1],  # a path in the stage
+        joint_names=tuple(names),
+        pregrasp=np.array(starts, dtype=np.float64).reshape(-1, len(names)),  # NaN for None
+        confidence=np.array([each.get("confidence") for each in grasps], dtype=np.float64),
     )
+    if ours is None:
+        return table
+    synergies = ours["grasps"].get("synergy")
+    table = replace(table, synergies=synergies and np.array(synergies, dtype=str))
+    return table.with_metadata(msgspec.convert(ours, GraspMetadata))
+
+
+def _commanded_pose(grasp: dict[str, Any]) -> list[float]:
+    """Return position [m] and quaternion xyzw of the commanded pose, else the only one."""
+    kind = "pregrasp_" if "pregrasp_position" in grasp else ""
+    turn = grasp[f"{kind}orientation"]
+    return [*grasp[f"{kind}position"], *turn["xyz"], turn["w"]]

@@ -1,103 +1,132 @@
-"""Readers of files of grasps from public descriptions, sharing nothing with the writers."""
+"""Readers of every format by its own description, apart from the code that writes it."""
 
 import csv
 import io
 import json
 import tarfile
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 import pandas
+import pyarrow.parquet
 import yaml
 from scipy.spatial.transform import Rotation
 
 
 class Contact(NamedTuple):
-    """A contact as a file tells it: the hand's link, point and normal (3,), force."""
+    """A contact as a file has it: the hand's link; point, normal (3,) and force as one array (7,)."""
 
     link: str
-    point: np.ndarray
-    normal: np.ndarray
-    force: float
+    values: np.ndarray
 
 
-class Read(NamedTuple):
+@dataclass(frozen=True)
+class Read:
+    """The grasps of a file."""
+
     matrices: np.ndarray
     """(n, 4, 4): the commanded poses, which go with the open joints."""
     settled: np.ndarray
     """(n, 4, 4): the settled poses, which go with the joints after closing; NaN where there is none."""
     quality: np.ndarray
+    joints: dict[str, np.ndarray]
+    """(n,) each, by name, after closing."""
+    starts: dict[str, np.ndarray]
+    """(n,) each, before it."""
+    penetration: np.ndarray
+    about: Mapping[str, Any]
+    """The metadata."""
     beside: Any
+    """The file itself."""
+    contacts: list[list[Contact] | None] | None = None
+    """None: the format has no place for them."""
+
+
+def homogeneous(poses: Any) -> np.ndarray:
+    """Poses (n, 7), xyz and xyzw, as matrices (n, 4, 4); NaN where one is."""
+    poses = np.asarray(poses, dtype=float)
+    matrices = np.tile(np.eye(4), (len(poses), 1, 1))
+    known = ~np.isnan(poses).any(axis=1)
+    matrices[known, :3, :3] = Rotation.from_quat(poses[known, 3:]).as_matrix()
+    matrices[:, :3, 3] = poses[:, :3]
+    matrices[~known] = np.nan
+    return matrices
+
+
+def columns(names: Iterable[str], values: Any) -> dict[str, np.ndarray]:
+    """Columns of (n, j) by name."""
+    return dict(zip(names, np.asarray(values, dtype=float).T, strict=True))
 
 
 def isaac(path: Path) -> Read:
     """Isaac Sim, "Grasp Editor": position and orientation {w, xyz}, object's frame."""
-    told = yaml.safe_load(path.read_text())
-    assert told["format"] == "isaac_grasp"
-    assert told["format_version"] == 1.0
-    grasps = list(told["grasps"].values())
+    file = yaml.safe_load(path.read_text())
+    assert (file["format"], file["format_version"]) == ("isaac_grasp", 1.0)
+    grasps = list(file["grasps"].values())
 
     def poses(kind: str) -> np.ndarray:
-        turns = [each[f"{kind}orientation"] for each in grasps]
-        quaternions = [[*turn["xyz"], turn["w"]] for turn in turns]
-        return homogeneous([each[f"{kind}position"] for each in grasps], quaternions)
+        turns = [grasp[f"{kind}orientation"] for grasp in grasps]
+        places = [grasp[f"{kind}position"] for grasp in grasps]
+        return homogeneous([[*p, *turn["xyz"], turn["w"]] for p, turn in zip(places, turns, strict=True)])
 
-    return Read(poses("pregrasp_"), poses(""), np.array([each["confidence"] for each in grasps]), told)
+    def joints(kind: str) -> dict[str, np.ndarray]:
+        table = pandas.DataFrame([grasp[f"{kind}cspace_position"] for grasp in grasps])
+        return {name: table[name].to_numpy() for name in table}
 
-
-POSTURES = ("grasps/joint_positions", "grasps/pregrasp_joint_positions")
-MOTION = tuple(f"grasps/qualities/flex/object_motion_during_closing_{kind}" for kind in ("linear", "angular"))
-OBJECT = ("scale", "mass", "density", "volume", "friction", "com", "inertia")
+    return Read(
+        poses("pregrasp_"),
+        poses(""),
+        np.array([grasp["confidence"] for grasp in grasps]),
+        joints(""),
+        joints("pregrasp_"),
+        np.array(file["qdgrasp"]["grasps"]["penetration"]),
+        file["qdgrasp"],
+        file,
+    )
 
 
 def acronym(path: Path) -> Read:
     """ACRONYM: `grasps/transforms` and the bits of its simulation, as its own tools load them."""
     with h5py.File(path) as file:
-        beside = {
-            "file": file["object/file"][()].decode(),
-            "type": file["gripper/type"][()].decode(),
-            "joint_names": [name.decode() for name in file["gripper/joint_names"]],
-            **{name: np.array(file[name]) for name in POSTURES + MOTION},
-            "contacts": acronym_contacts(file),
-            "penetration": np.array(file["qdgrasp/penetration"]),
-            "axes": file["qdgrasp"].attrs["gripper_axes"],
-            **{name: np.array(file[f"object/{name}"]) for name in OBJECT},
-        }
-        return Read(
-            np.array(file["grasps/transforms"]),
-            np.array(file["grasps/settled_transforms"]),
-            np.array(file["grasps/qualities/flex/object_in_gripper"]),
-            beside,
+        every = dict[str, np.ndarray]()
+        file.visititems(
+            lambda name, item: every.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None
         )
-
-
-def acronym_contacts(file: h5py.File) -> list[list[Contact]]:
-    names = [name.decode() for name in file["gripper/link_names"]]
-    links, *values = (
-        np.array(file[f"grasps/contact_{kind}"]) for kind in ("links", "points", "normals", "forces")
+        attributes = dict(file["qdgrasp"].attrs)
+    names = [name.decode() for name in every["gripper/joint_names"]]
+    links = [name.decode() for name in every["gripper/link_names"]]
+    numbers = [every[f"grasps/contact_{kind}"] for kind in ("points", "normals", "forces")]
+    return Read(
+        every["grasps/transforms"],
+        every["grasps/settled_transforms"],
+        every["grasps/qualities/flex/object_in_gripper"],
+        columns(names, every["grasps/joint_positions"]),
+        columns(names, every["grasps/pregrasp_joint_positions"]),
+        every["qdgrasp/penetration"],
+        attributes | {"runs": json.loads(every["qdgrasp/about"])["runs"]},
+        every,
+        slots(links, every["grasps/contact_links"], *numbers),
     )
+
+
+def slots(links: Any, places: Any, points: Any, normals: Any, forces: Any) -> list[list[Contact] | None]:
+    """Contacts in slots, of which those with link -1 are empty."""
+    values = np.concatenate([points, normals, forces[..., None]], axis=2)
     return [
-        [Contact(names[link], *each) for link, *each in zip(*slots, strict=True) if link >= 0]
-        for slots in zip(links, *values, strict=True)
+        [Contact(links[link], each) for link, each in zip(*row, strict=True) if link >= 0]
+        for row in zip(places, values, strict=True)
     ]
 
 
-def contacts_of(lists: Any) -> list[list[Contact] | None]:
+def mappings(lists: Iterable[Any]) -> list[list[Contact] | None]:
     """Contacts from lists of mappings, or of nothing."""
+    keys = ("x", "y", "z", "nx", "ny", "nz", "force")
     return [
-        None
-        if each is None
-        else [
-            Contact(
-                one["link"],
-                np.array([one[axis] for axis in "xyz"]),
-                np.array([one[f"n{axis}"] for axis in "xyz"]),
-                one["force"],
-            )
-            for one in each
-        ]
+        None if each is None else [Contact(one["link"], np.array([one[key] for key in keys])) for one in each]
         for each in lists
     ]
 
@@ -107,47 +136,79 @@ def graspgen(path: Path) -> Read:
     (uuid,) = (path / "splits" / "train.txt").read_text().split()
     assert (path / "splits" / "valid.txt").read_text().split() == [uuid]
     index = json.loads((path / "grasp_data" / "map_uuid_to_path.json").read_text())
-    told = json.loads((path / "grasp_data" / index[uuid]).read_text())
-    assert told["object"]["file"] == uuid
-    settled = [np.full((4, 4), np.nan) if one is None else one for one in beside(told)["settled_transforms"]]
+    file = json.loads((path / "grasp_data" / index[uuid]).read_text())
+    assert file["object"]["file"] == uuid
+    ours, names = file["qdgrasp"]["grasps"], file["qdgrasp"]["joint_names"]
     return Read(
-        np.array(told["grasps"]["transforms"]),
-        np.array(settled),
-        np.array(told["grasps"]["object_in_gripper"]),
-        told,
+        np.array(file["grasps"]["transforms"]),
+        np.array([np.full((4, 4), np.nan) if each is None else each for each in ours["settled_transforms"]]),
+        np.array(file["grasps"]["object_in_gripper"]),
+        columns(names, ours["joint_positions"]),
+        columns(names, ours["pregrasp_joint_positions"]),
+        np.array(ours["penetration"]),
+        file["qdgrasp"],
+        file,
+        mappings(ours["contacts"]),
     )
 
 
-def beside(told: Any) -> Any:
-    """The lists in the block `qdgrasp`."""
-    return told["qdgrasp"]["grasps"]
+def table_read(table: pandas.DataFrame, about: Mapping[str, Any], contacts: Any = None) -> Read:
+    """A table with a line for each grasp."""
+
+    def numbers(name: str) -> np.ndarray:
+        return table[name].replace("", np.nan).astype(float).to_numpy()
+
+    axes = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    settled = np.column_stack([numbers(f"settled_{axis}") for axis in axes])
+    return Read(
+        homogeneous(np.column_stack([numbers(axis) for axis in axes])),
+        homogeneous(settled),
+        numbers("confidence"),
+        *(
+            {name.removeprefix(begin): numbers(name) for name in table if name.startswith(begin)}
+            for begin in ("joint.", "pregrasp.")
+        ),
+        numbers("penetration"),
+        about,
+        table,
+        contacts,
+    )
 
 
 def comma_separated(path: Path) -> Read:
     """RFC 4180, once the lines that begin with # are left out."""
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    return table_read(pandas.DataFrame(rows))
+    text = path.read_text()
+    head = [line[2:].rstrip() for line in text.splitlines() if line.startswith("# ")]
+    about = dict(line.split(": ", 1) for line in head if ": " in line)
+    rows = csv.DictReader(line for line in io.StringIO(text, newline="") if not line.startswith("#"))
+    return table_read(pandas.DataFrame(list(rows)), about)
 
 
-def table_read(table: pandas.DataFrame) -> Read:
-    axes = ["x", "y", "z", "qx", "qy", "qz", "qw"]
-    poses, settled = (
-        table[[f"{kind}{axis}" for axis in axes]].replace("", np.nan).astype(float).to_numpy()
-        for kind in ("", "settled_")
-    )
-    quality = table["confidence"].astype(float).to_numpy()
-    return Read(
-        homogeneous(poses[:, :3], poses[:, 3:]), homogeneous(settled[:, :3], settled[:, 3:]), quality, table
-    )
+def parquet(path: Path) -> Read:
+    """Parquet with metadata in its schema."""
+    about = json.loads(pyarrow.parquet.read_schema(path).metadata[b"qdgrasp"])
+    table = pandas.read_parquet(path)
+    return table_read(table, about, mappings(table["contact_points"]))
+
+
+def webdataset(path: Path) -> Read:
+    """WebDataset: members of a tar, grouped to samples by what stands before the first point."""
+    samples: dict[str, dict[str, Any]] = {}
+    with tarfile.open(path) as tar:
+        for member in tar:
+            key, _, suffix = member.name.partition(".")
+            samples.setdefault(key, {})[suffix] = tar.extractfile(member).read()
+    parts = [np.load(io.BytesIO(sample["npz"]), allow_pickle=False) for sample in samples.values()]
+    every = {name: np.concatenate([part[name] for part in parts]) for name in parts[0].files}
+    about = json.loads(next(iter(samples.values()))["json"])
+    table = pandas.DataFrame({name: values for name, values in every.items() if values.ndim == 1})
+    numbers = [every[f"contact_{kind}"] for kind in ("points", "normals", "forces")]
+    return table_read(table, about, slots(about["links"], every["contact_links"], *numbers))
 
 
 HEADER = {"stamp": {"sec": int, "nanosec": int}, "frame_id": str}
 POINT = {
-    "positions": [float],
-    "velocities": [float],
-    "accelerations": [float],
-    "effort": [float],
+    **{key: [float] for key in ("positions", "velocities", "accelerations", "effort")},
     "time_from_start": {"sec": int, "nanosec": int},
 }
 TRAJECTORY = {"header": HEADER, "joint_names": [str], "points": [POINT]}
@@ -163,9 +224,7 @@ GRASP = {
     "grasp_posture": TRAJECTORY,
     "grasp_pose": {"header": HEADER, "pose": {"position": XYZ, "orientation": XYZ | {"w": float}}},
     "grasp_quality": float,
-    "pre_grasp_approach": TRANSLATION,
-    "post_grasp_retreat": TRANSLATION,
-    "post_place_retreat": TRANSLATION,
+    **dict.fromkeys(("pre_grasp_approach", "post_grasp_retreat", "post_place_retreat"), TRANSLATION),
     "max_contact_force": float,
     "allowed_touch_objects": [str],
 }
@@ -174,143 +233,49 @@ GRASP = {
 
 def moveit(path: Path) -> Read:
     """The messages, each checked against its definition."""
-    told = yaml.safe_load(path.read_text())
-    for message in told["grasps"]:
+    file = yaml.safe_load(path.read_text())
+    messages, ours = file["grasps"], file["qdgrasp"]["grasps"]
+    for message in messages:
         check_message(message, GRASP)
-    settled = np.array(beside(told)["settled_poses"])
-    poses = [message["grasp_pose"]["pose"] for message in told["grasps"]]
-    positions = [[pose["position"][axis] for axis in "xyz"] for pose in poses]
-    turns = [[pose["orientation"][axis] for axis in "xyzw"] for pose in poses]
-    quality = np.array([message["grasp_quality"] for message in told["grasps"]])
-    return Read(homogeneous(positions, turns), homogeneous(settled[:, :3], settled[:, 3:]), quality, told)
+    poses = [message["grasp_pose"]["pose"] for message in messages]
+
+    def joints(kind: str) -> dict[str, np.ndarray]:
+        postures = [message[kind] for message in messages]
+        return columns(postures[0]["joint_names"], [each["points"][0]["positions"] for each in postures])
+
+    return Read(
+        homogeneous([[*each["position"].values(), *each["orientation"].values()] for each in poses]),
+        homogeneous(ours["settled_poses"]),
+        np.array([message["grasp_quality"] for message in messages]),
+        joints("grasp_posture"),
+        joints("pre_grasp_posture"),
+        np.array(ours["penetration"]),
+        file["qdgrasp"],
+        file,
+    )
 
 
 def check_message(message: Any, definition: Any) -> None:
-    """Every field of the definition is there and of its type, and no other."""
+    """Check that every field of the definition is there and of its type, and no other."""
     if isinstance(definition, dict):
-        assert set(message) == set(definition)
+        assert list(message) == list(definition)
         for field, kind in definition.items():
             check_message(message[field], kind)
     elif isinstance(definition, list):
-        assert isinstance(message, list)
         for item in message:
             check_message(item, definition[0])
     else:
         assert type(message) is definition, (message, definition)
 
 
-def homogeneous(positions: Any, quaternions: Any) -> np.ndarray:
-    """Positions (n, 3) and quaternions (n, 4), xyzw, as matrices (n, 4, 4); NaN where one is."""
-    matrices = np.tile(np.eye(4), (len(positions), 1, 1))
-    known = ~np.isnan(np.asarray(positions)).any(axis=1)
-    matrices[known, :3, :3] = Rotation.from_quat(np.asarray(quaternions)[known]).as_matrix()
-    matrices[:, :3, 3] = positions
-    matrices[~known] = np.nan
-    return matrices
-
-
-def webdataset(path: Path) -> Read:
-    """WebDataset: members of a tar, grouped to samples by what stands before the first point."""
-    samples: dict[str, dict[str, Any]] = {}
-    with tarfile.open(path) as tar:
-        for member in tar:
-            key, _, suffix = member.name.partition(".")
-            samples.setdefault(key, {})[suffix] = tar.extractfile(member).read()
-    columns, told = [], []
-    for sample in samples.values():
-        told.append(json.loads(sample["json"]))
-        with np.load(io.BytesIO(sample["npz"]), allow_pickle=False) as arrays:
-            columns.append({name: arrays[name] for name in arrays.files})
-    every = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
-    table = pandas.DataFrame({name: values for name, values in every.items() if values.ndim == 1})
-    table["contact_points"] = [
-        [
-            {"link": told[0]["links"][link]} | dict(zip(CONTACT, map(float, numbers), strict=True))
-            for link, numbers in zip(links, slots, strict=True)
-            if link >= 0
-        ]
-        for links, slots in zip(every["contact_links"], numbers_of(every), strict=True)
-    ]
-    table.attrs = told[0]
-    return table_read(table)
-
-
-CONTACT = ("x", "y", "z", "nx", "ny", "nz", "force")
-
-
-def numbers_of(every: dict[str, np.ndarray]) -> np.ndarray:
-    """Point, normal and force (n, k, 7) of each contact."""
-    points, normals, forces = (every[f"contact_{kind}"] for kind in ("points", "normals", "forces"))
-    return np.concatenate([points, normals, forces[..., None]], axis=2)
-
-
 READERS = {
     "isaac": isaac,
     "acronym": acronym,
     "graspgen": graspgen,
-    "parquet": lambda path: table_read(pandas.read_parquet(path)),
+    "parquet": parquet,
     "webdataset": webdataset,
     "moveit": moveit,
     "csv": comma_separated,
-}
-
-
-def isaac_joints(told: Any, names: list[str]) -> list[np.ndarray]:
-    return [
-        np.array([[grasp[key][name] for name in names] for grasp in told["grasps"].values()])
-        for key in ("cspace_position", "pregrasp_cspace_position")
-    ]
-
-
-def acronym_joints(told: Any, names: list[str]) -> list[np.ndarray]:
-    places = [told["joint_names"].index(name) for name in names]
-    return [told[key][:, places] for key in POSTURES]
-
-
-def table_joints(told: pandas.DataFrame, names: list[str]) -> list[np.ndarray]:
-    kinds = ("joint", "pregrasp")
-    return [told[[f"{kind}.{name}" for name in names]].astype(float).to_numpy() for kind in kinds]
-
-
-def moveit_joints(told: Any, names: list[str]) -> list[np.ndarray]:
-    def positions(posture: Any) -> list[float]:
-        (point,) = posture["points"]
-        return [point["positions"][posture["joint_names"].index(name)] for name in names]
-
-    kinds = ("grasp_posture", "pre_grasp_posture")
-    return [np.array([positions(grasp[kind]) for grasp in told["grasps"]]) for kind in kinds]
-
-
-def graspgen_joints(told: Any, names: list[str]) -> list[np.ndarray]:
-    places = [told["qdgrasp"]["joint_names"].index(name) for name in names]
-    kinds = ("joint_positions", "pregrasp_joint_positions")
-    return [np.array(beside(told)[kind])[:, places] for kind in kinds]
-
-
-JOINTS = {
-    "graspgen": graspgen_joints,
-    "isaac": isaac_joints,
-    "acronym": acronym_joints,
-    "parquet": table_joints,
-    "webdataset": table_joints,
-    "moveit": moveit_joints,
-    "csv": table_joints,
-}
-"""Joints by name at the grasp and before it, (n, k) each, of a reader's other findings."""
-PENETRATIONS = {
-    "isaac": lambda told: beside(told)["penetration"],
-    "acronym": lambda told: told["penetration"],
-    "graspgen": lambda told: beside(told)["penetration"],
-    "parquet": lambda told: told["penetration"].to_numpy(),
-    "webdataset": lambda told: told["penetration"].to_numpy(),
-    "moveit": lambda told: beside(told)["penetration"],
-    "csv": lambda told: told["penetration"].astype(float).to_numpy(),
-}
-CONTACTS = {
-    "acronym": lambda told: told["contacts"],
-    "graspgen": lambda told: contacts_of(beside(told)["contacts"]),
-    "parquet": lambda told: contacts_of(told["contact_points"]),
-    "webdataset": lambda told: contacts_of(told["contact_points"]),
 }
 TURNED = {"acronym", "graspgen"}
 """Formats whose hand axes are +z towards the object and x across the jaw."""

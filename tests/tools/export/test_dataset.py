@@ -4,13 +4,12 @@ import json
 import shutil
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pandas
 import pytest
 import yaml
 from tests.tools.export.conftest import MakeRun
-from tests.tools.export.independent_readers import webdataset
+from tests.tools.export.independent_readers import READERS
 from typer.testing import CliRunner, Result
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -21,11 +20,10 @@ from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.export import dataset
 from qdgrasp_tools.export.dataset import export_dataset, parse_shares, split_of
-from qdgrasp_tools.export.exporter import run_folders
+from qdgrasp_tools.export.exporter import FORMATS, run_folders
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame
 
-FORMATS = ("parquet", "graspgen", "acronym", "isaac", "webdataset")
 OBJECTS = ("cup", "block", "ball")
 BALL = ObjectRecord(category="toy", licence="CC0", source="shop", split="test")
 
@@ -58,23 +56,14 @@ def command(*words: object) -> Result:
 
 
 def counts(folder: Path, name: str) -> dict[str, int]:
-    """The number of grasps of each run, as other libraries read them."""
-    index = pandas.read_csv(folder / "index.csv")
-    if name == "parquet":
-        return dict(pandas.read_parquet(folder / "data").groupby("run").size())
-    if name == "webdataset":
-        parts = [webdataset(path).beside for path in sorted(folder.glob("data/*/*.tar"))]
-        return dict(pandas.concat(parts).groupby("run").size())
-
-    def size(files: str) -> int:
-        path = folder / files.split()[0]
-        if name == "acronym":
-            return len(h5py.File(path)["grasps/transforms"])
-        if name == "isaac":
-            return len(yaml.safe_load(path.read_text())["grasps"])
-        return sum(json.loads(path.read_text())["grasps"]["object_in_gripper"])
-
-    return {run: size(files) for run, files in zip(index.run, index.files, strict=True)}
+    """The number of grasps of each run, as other readers have them."""
+    index = pandas.read_csv(folder / "index.csv").set_index("run")
+    if name != "graspgen":
+        return {run: len(READERS[name](folder / file).quality) for run, file in index.files.items()}
+    first = {run: folder / files.split()[0] for run, files in index.files.items()}
+    return {
+        run: sum(json.loads(path.read_text())["grasps"]["object_in_gripper"]) for run, path in first.items()
+    }
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -112,11 +101,12 @@ def test_the_index_says_what_is_known_of_each_run(runs, tmp_path: Path) -> None:
     assert set(index.split) == {"train", "test"}
 
 
-def test_shards_end_by_size_and_hold_objects_side_by_side(runs, tmp_path) -> None:
-    export_dataset(runs, tmp_path / "out", "parquet", shard_bytes=1)
-    objects = [pandas.read_parquet(path).object for path in sorted((tmp_path / "out/data/jaw").iterdir())]
-    assert len(objects) == 6
-    assert list(pandas.concat(objects)) == sorted(pandas.concat(objects))
+def test_the_tables_of_all_runs_are_read_as_one(runs, tmp_path) -> None:
+    export_dataset(runs, tmp_path / "out", "parquet")
+    table = pandas.read_parquet(tmp_path / "out" / "data")
+    assert set(zip(table.object, table.run, strict=True)) == {
+        (name, f"jaw-{name}-s{seed}") for name in OBJECTS for seed in (0, 1)
+    }
 
 
 def test_of_each_run_it_is_chosen_as_of_a_run_alone(runs, tmp_path: Path) -> None:

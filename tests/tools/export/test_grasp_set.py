@@ -12,7 +12,7 @@ from tests.tools.export.conftest import COM, MakeRun
 from qdgrasp_coordinator.metrics import successes
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.export.grasp_reader import join_grasps, read_run, select_grasps, spread_places
+from qdgrasp_tools.export.grasp_reader import read_run, select_grasps, spread_places
 from qdgrasp_tools.export.grasp_set import Grasps
 
 
@@ -41,12 +41,6 @@ def test_a_number_takes_one_and_anything_else_several(few: Grasps) -> None:
         assert some.starts.tobytes() == few.starts[places].tobytes()
     with pytest.raises(IndexError):
         few[6]
-
-
-def test_parts_lead_back_to_the_whole(few: Grasps) -> None:
-    again = join_grasps([few[:2], few[2:2], few[2:]])
-    assert again.rows.tobytes() == few.rows.tobytes()
-    assert again.poses("mesh").tobytes() == few.poses("mesh").tobytes()
 
 
 def test_failures_are_there_if_they_are_asked_for(run: RunFolder) -> None:
@@ -117,11 +111,6 @@ def test_a_jaw_that_is_turned_round_is_no_other_grasp(make_run: MakeRun) -> None
     hand = msgspec.structs.replace(grasps.scene.gripper, jaw=None)
     plain = replace(grasps, scene=msgspec.structs.replace(grasps.scene, gripper=hand))
     assert spread_places(plain, 3).tolist() == [0, 1, 2]
-
-
-def nearest(grasps: Grasps) -> float:
-    apart = distances(grasps)
-    return float(apart[~np.eye(len(grasps), dtype=bool)].min())
 
 
 def distances(grasps: Grasps) -> np.ndarray:
