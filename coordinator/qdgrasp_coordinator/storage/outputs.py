@@ -102,16 +102,6 @@ def making_parents(path: Path) -> Iterator[None]:
         raise
 
 
-@contextmanager
-def _staging_folder(home: Path) -> Iterator[Path]:
-    """Make a hidden folder in `home` to build an output in; it is removed at the end."""
-    with (
-        making_parents(home),
-        TemporaryDirectory(dir=home, prefix=".", suffix=".part", ignore_cleanup_errors=True) as part,
-    ):
-        yield Path(part)
-
-
 def _put_in_place(made: Path, path: Path, old: Path | None = None) -> None:
     """Move a finished file or folder to `path`, durably; what is replaced goes to `old`."""
     if made.is_file():
@@ -167,49 +157,28 @@ SHOWN = 3  # Most file names listed where other files are in the way
 
 @dataclass(frozen=True)
 class Output(ABC):
-    """A file or folder that a command writes at a path."""
+    """A file or folder that a command writes at a path; it appears whole or not at all."""
 
     path: Path
     instead: str = "name another path with --out"
     """Advice for the case that it cannot be written."""
+    force: bool | None = None
+    """True: what is there is replaced; None: it is not, and there is no flag for it."""
 
     def check(self) -> None:
         """Check that it can be written, before the work for it is begun; else raise `OutputError`."""
+        home = self.path.absolute().parent
         with writing(self.path, self.instead):
             if self.path == STDOUT:
                 raise self._refused("would be standard output, where no output goes")
-            if self.path.name in PARTS and any((self._home / mark).exists() for mark in MARKS):
+            if self.path.name in PARTS and any((home / mark).exists() for mark in MARKS):
                 raise self._refused("is part of a run or of a campaign")
             self._check_place()
-            there = next(each for each in (self._home, *self._home.parents) if _what(each))
+            there = next(each for each in (home, *home.parents) if _what(each))
             if not there.is_dir():
                 raise self._refused(f"lies below {there}, which is {_what(there)}")
             if not os.access(there, os.W_OK | os.X_OK):
                 raise self._refused(f"cannot be written: {there} is not to be written in")
-
-    @property
-    def _home(self) -> Path:
-        return self.path.absolute().parent
-
-    @abstractmethod
-    def _check_place(self) -> None:
-        """Check that what is at the path may be replaced, or added to."""
-
-    def _check_new(self, *, force: bool | None) -> None:
-        """Refuse to replace what is there, unless forced."""
-        if not force:
-            raise OutputError(self.path, "is there already", self.instead, forces=force is not None)
-
-    def _refused(self, why: str) -> OutputError:
-        return OutputError(self.path, why, self.instead)
-
-
-@dataclass(frozen=True)
-class WholeOutput(Output):
-    """An output that appears whole or not at all."""
-
-    force: bool | None = None
-    """True: what is there is replaced; None: it is not, and there is no flag for it."""
 
     @contextmanager
     def writing(self) -> Iterator[Path]:
@@ -219,14 +188,31 @@ class WholeOutput(Output):
         or `OutputError` where it cannot be written.
         """
         self.check()
-        with writing(self.path, self.instead), _staging_folder(self._home) as part:
-            made = part / self.path.name
+        home = self.path.absolute().parent
+        with (
+            writing(self.path, self.instead),
+            making_parents(home),
+            TemporaryDirectory(dir=home, prefix=".", suffix=".part", ignore_cleanup_errors=True) as part,
+        ):
+            made = Path(part) / self.path.name
             yield made
-            _put_in_place(made, self.path, part / f"{made.name}.old" if self.force else None)
+            _put_in_place(made, self.path, Path(part) / f"{made.name}.old" if self.force else None)
+
+    @abstractmethod
+    def _check_place(self) -> None:
+        """Check that what is at the path may be replaced."""
+
+    def _check_new(self) -> None:
+        """Refuse to replace what is there, unless forced."""
+        if not self.force:
+            raise OutputError(self.path, "is there already", self.instead, forces=self.force is not None)
+
+    def _refused(self, why: str) -> OutputError:
+        return OutputError(self.path, why, self.instead)
 
 
 @dataclass(frozen=True)
-class OutFile(WholeOutput):
+class OutFile(Output):
     """A file."""
 
     suffixes: tuple[str, ...] = ()
@@ -250,13 +236,13 @@ class OutFile(WholeOutput):
             raise self._refused(f"is {what}, where {FILE} is to be written")
         if any(is_file(each) and self.path.samefile(each) for each in self.inputs):
             raise self._refused("is a file that is read here")
-        self._check_new(force=self.force)
+        self._check_new()
         if not self.is_kind(self.path):
             raise self._refused("is there already, and was not made by qdgrasp")
 
 
 @dataclass(frozen=True)
-class OutFolder(WholeOutput):
+class OutFolder(Output):
     """A folder of its own; an empty one that is there becomes it."""
 
     is_kind: Callable[[Path], bool] = lambda _: False
@@ -268,56 +254,14 @@ class OutFolder(WholeOutput):
             raise self._refused(f"is {what}, where {FOLDER} is to be written")
         if names := _names(self.path):
             if not self.is_kind(self.path):
-                raise self._refused(_others(names))
-            self._check_new(force=self.force)
-
-
-@dataclass(frozen=True)
-class SharedFolder(Output):
-    """A folder that files are put into, beside those that are there."""
-
-    is_kind: Callable[[Path], bool] = lambda _: True
-    """Returns True for a folder, not empty, that files may be put into."""
-
-    def file(self, name: str, is_kind: Callable[[Path], bool] = lambda _: True) -> OutFile:
-        """A file in it, in the place of an earlier one of the name and the kind."""
-        return OutFile(self.path / name, self.instead, force=True, is_kind=is_kind)
-
-    @contextmanager
-    def filling(self) -> Iterator[Path]:
-        """Give a with-block a new folder to write files to; each then takes its place at once.
-
-        Where the block fails none of them does. Raises as `writing`.
-        """
-        self.check()
-        with writing(self.path, self.instead), _staging_folder(self._home) as part:
-            yield part
-            files = sorted(part.iterdir())
-            for made in files:
-                self.file(made.name).check()
-            for made in files:
-                _put_in_place(made, self.path / made.name)
-
-    @property
-    def _home(self) -> Path:
-        return self.path.absolute()
-
-    def _check_place(self) -> None:
-        what = _what(self.path)
-        if what and not self.path.is_dir():
-            raise self._refused(f"is {what}, where {FOLDER} is to be written")
-        if (names := _names(self.path)) and not self.is_kind(self.path):
-            raise self._refused(_others(names))
+                raise self._refused(f"holds other files ({first_few(names, SHOWN)})")
+            self._check_new()
 
 
 def _names(folder: Path) -> list[str]:
     """Return the names in a folder, without what a killed command was writing."""
     there = folder.iterdir() if folder.is_dir() else ()
     return sorted(each.name for each in there if not (each.name[0] == "." and each.suffix == ".part"))
-
-
-def _others(names: list[str]) -> str:
-    return f"holds other files ({first_few(names, SHOWN)})"
 
 
 def _what(path: Path) -> str:

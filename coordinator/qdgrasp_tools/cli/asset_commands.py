@@ -22,7 +22,7 @@ from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.object_shape import is_in_catalog
 from qdgrasp_assets.scan_download import YCB_HOME, YCB_TERMS, WrongScan, fetch_scan
-from qdgrasp_coordinator.storage.outputs import OutFile, SharedFolder, is_drawn_here
+from qdgrasp_coordinator.storage.outputs import OutFile, is_drawn_here
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError, InputError
 from qdgrasp_protocol.spec import RunSpec, run_spec
@@ -42,33 +42,32 @@ def refuse_faulty(kind: str, found: AssetReport, why: str = "cannot be used as i
         raise AssetError(f"The {kind} '{found.name}' {why}: correct {listed}.")
 
 
-def picture_folder(path: Path | None, flag: str, names: Iterable[str]) -> SharedFolder | None:
+def picture_folder(path: Path | None, flag: str, names: Iterable[str]) -> Path | None:
     """Return the folder that a flag names for pictures; None: no pictures are asked for.
 
     Raises `OutputError` where they cannot be written there, `InputError` where two would be one file.
     """
     if path is None:
         return None
-    folder = SharedFolder(path, f"name another path with {flag}")
-    folder.check()
     drawn: dict[Path, str] = {}
     for name in dict.fromkeys(names):
-        file = picture_file(folder, name)
+        file = picture_file(path, name, flag)
         file.check()
         if (other := drawn.setdefault(file.path, name)) != name:
             raise InputError(
                 f"'{other}' and '{name}' would both be drawn to '{file.path}'; name them in two commands, "
                 f"with another {flag} for each."
             )
-    return folder
+    return path
 
 
-def picture_file(folder: SharedFolder, name: str) -> OutFile:
+def picture_file(folder: Path, name: str, flag: str = "--out") -> OutFile:
     """Return the picture's file; an earlier picture drawn by this program is replaced."""
-    return folder.file(f"{Path(name).stem}.png", is_kind=is_drawn_here)
+    place, instead = folder / f"{Path(name).stem}.png", f"name another path with {flag}"
+    return OutFile(place, instead, force=True, is_kind=is_drawn_here)
 
 
-def draw_asset(asset: Gripper | ObjectModel, name: str, folder: SharedFolder) -> Path:
+def draw_asset(asset: Gripper | ObjectModel, name: str, folder: Path) -> Path:
     """Draw a hand or an object into the picture's file; returns its path."""
     # matplotlib takes half a second to import, and most commands draw nothing
     from qdgrasp_tools.rendering.drawings import draw_gripper, draw_object

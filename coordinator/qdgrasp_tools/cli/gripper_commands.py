@@ -20,7 +20,7 @@ from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.mjcf import is_mjcf
 from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_coordinator.storage import outputs
-from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, SharedFolder
+from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue
 from qdgrasp_protocol.text import parse_numbers
@@ -149,8 +149,7 @@ def new(
     target = out or Path(urdf.with_suffix(".toml").name)
     file = OutFile(target, suffixes=(".toml",), force=force, inputs=(urdf,))
     file.check()
-    pictures = SharedFolder(target.parent, "name another path with --out")
-    asset_commands.picture_file(pictures, target.name).check()
+    asset_commands.picture_file(target.parent, target.name).check()
     with ExitStack() as until_written:
         robot, given = _usable_robot(_single_tree(urdf), given, file, until_written, repair=repair)
         made = draft_gripper(robot, _reference(robot.path, target), given)
@@ -160,7 +159,7 @@ def new(
         file.write(draft_toml(made, target.name).encode())
     echo(f"written: {target}")
     hand = read_gripper(target, target.stem, target.name)
-    echo(f"drawn: {asset_commands.draw_asset(hand, target.name, pictures)}")
+    echo(f"drawn: {asset_commands.draw_asset(hand, target.name, target.parent)}")
     echo("look at it: does the arrow go from the palm to the fingertips, and do the fingers close on it?")
     echo(f"next: qdgrasp run --gripper {shlex.quote(str(target))} --object mug")
 

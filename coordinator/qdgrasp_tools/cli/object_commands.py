@@ -14,7 +14,7 @@ from qdgrasp_assets.catalog import object_names
 from qdgrasp_assets.geometry.collision_parts import TIME_LIMIT, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
 from qdgrasp_assets.object_model import ObjectDraft, object_of_mesh, read_draft
-from qdgrasp_coordinator.storage.outputs import OutFile, SharedFolder
+from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError
@@ -109,7 +109,7 @@ def _found(file: str) -> Path:
 
 
 def _made(
-    found: ObjectReport, draft: ObjectDraft, path: Path, drawing: SharedFolder | None, writing: OutFile | None
+    found: ObjectReport, draft: ObjectDraft, path: Path, drawing: Path | None, writing: OutFile | None
 ) -> Iterator[str]:
     if drawing is not None:
         yield f"drawn: {_drawn(found, draft, path, drawing)}"
@@ -118,7 +118,7 @@ def _made(
         yield f"written: {writing.path}, in metres, with {counted(len(draft.mesh.faces), 'triangle')}"
 
 
-def _drawn(found: ObjectReport, draft: ObjectDraft, path: Path, folder: SharedFolder) -> Path:
+def _drawn(found: ObjectReport, draft: ObjectDraft, path: Path, folder: Path) -> Path:
     if found.convex is not None:
         body = object_of_mesh(draft.mesh, path, found.mass or 1.0)
         return asset_commands.draw_asset(body, path.name, folder)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, WholeOutput
+from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError, UnknownName, check_packages
 from qdgrasp_protocol.rows import Outcome
@@ -108,7 +108,7 @@ def export_run(
     """
     form, object_frame = format_of(name), frame_of(frame)
     wanted = form.failures(negatives)
-    output: WholeOutput = OutFile(out, force=force)
+    output: Output = OutFile(out, force=force)
     if not form.suffix:
         output = OutFolder(out, force=force, is_kind=jaw_files.is_graspgen)
     output.check()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
-from qdgrasp_coordinator.storage.outputs import SharedFolder
+from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_coordinator.storage.tables import Row, Value, aligned_text, csv_text
 from qdgrasp_protocol.errors import FolderError, UnknownName
 from qdgrasp_tools.report.figure_grid import FigureGrid, family_of
@@ -96,7 +96,7 @@ def write_report(
     run, none has recorded an evaluation, one cannot be read, or `out` cannot be written, and UnknownName if
     no run is of such a method or object.
     """
-    folder = SharedFolder(out, is_kind=is_ours)
+    folder = OutFolder(out, force=True, is_kind=is_ours)
     folder.check()
     runs, copies = read_histories(find_runs(path), ReferenceLookup(references))
     groups = group_runs(runs)
@@ -114,15 +114,13 @@ def write_report(
     pooled = [panel for panel in hands if panel.scene not in {one.scene for one in scenes}]
     figures = _figures(begun, methods, objects)
     left_out = {name: why for name, why in figures.items() if isinstance(why, str)}
-    with folder.filling() as made:
+    with folder.writing() as made:
+        made.mkdir()
         for name, figure in figures.items():
             if isinstance(figure, FigureGrid):
                 figure.write(made / name)
         (made / RUNS_FILE).write_text(csv_text(run_rows(groups)), encoding="utf-8")
         (made / CURVES_FILE).write_text(csv_text(curve_rows([*scenes, *pooled])), encoding="utf-8")
-    for name in left_out:  # of an earlier analysis
-        for suffix in SUFFIXES:
-            (out / f"{name}{suffix}").unlink(missing_ok=True)
     return CampaignReport(out, groups, scenes, left_out, [run.path.absolute().name for run in copies])
 
 
@@ -150,12 +148,10 @@ def _figures(
 
 
 def is_ours(folder: Path) -> bool:
-    """Return whether a folder is that of an earlier analysis: its tables have our columns."""
-    try:
-        heads = [(folder / name).open(encoding="utf-8").readline() for name in (RUNS_FILE, CURVES_FILE)]
-    except (OSError, UnicodeDecodeError):
-        return False
-    return all(head.startswith("gripper,object,protocol,method,variant,") for head in heads)
+    """Return whether a folder is that of an earlier analysis, and holds nothing else."""
+    ours = {RUNS_FILE, CURVES_FILE, *(f"{name}{suffix}" for name in FIGURES for suffix in SUFFIXES)}
+    there = {file.name for file in folder.iterdir()}
+    return {RUNS_FILE, CURVES_FILE} <= there <= ours
 
 
 def _columns(scene: SceneName, arm: tuple[str, str]) -> dict[str, Value]:
@@ -171,7 +167,7 @@ def run_rows(groups: Iterable[RunGroup]) -> list[Row]:
 
 
 def _run_columns(run: RunHistory) -> dict[str, Value]:
-    counts, known = run.counts, run.target.reference
+    counts, known = run.counts.totals, run.target.reference
     size, robust = run.target.size, len(known.robust) if known else 0
     return {
         "run": run.path.name,

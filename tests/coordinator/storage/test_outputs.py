@@ -8,17 +8,16 @@ from pathlib import Path
 import pytest
 
 from qdgrasp_coordinator.storage import outputs
-from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output, SharedFolder, WholeOutput
+from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import DiskFull, OutputError
 from qdgrasp_protocol.spec import run_spec
 
-KINDS: list[Callable[[Path], Output]] = [OutFile, OutFolder, SharedFolder]
+KINDS: list[Callable[[Path], Output]] = [OutFile, OutFolder]
 FULL = OSError(28, "No space left on device")
 ADVICE = "name another path with --out"
 NEITHER = {"pipe": "a device or pipe", "link": "a link"}
 each_kind = pytest.mark.parametrize("kind", KINDS)
-each_whole = pytest.mark.parametrize("kind", [OutFile, OutFolder])
 
 
 def refused(output: Output) -> str:
@@ -40,20 +39,11 @@ def fill(made: Path, kind: Callable[[Path], Output]) -> None:
     made.write_text("new")
 
 
-def fail(output: WholeOutput, error: BaseException) -> None:
+def fail(output: Output, error: BaseException) -> None:
     """Write it, and fail when it is nearly done."""
     with output.writing() as made:
         fill(made, type(output))
         raise error
-
-
-def put(folder: SharedFolder, files: dict[str, str], error: Exception | None = None) -> None:
-    """Put files with these words into a folder, and fail when it is nearly done."""
-    with folder.filling() as made:
-        for name, words in files.items():
-            (made / name).write_text(words)
-        if error:
-            raise error
 
 
 @each_kind
@@ -62,7 +52,7 @@ def test_nothing_is_made_by_looking(kind: Callable[[Path], Output], tmp_path: Pa
     assert there(tmp_path) == []
 
 
-@each_whole
+@each_kind
 def test_folders_on_the_way_are_made_for_what_is_written(kind, tmp_path) -> None:
     with kind(tmp_path / "a" / "b" / "out").writing() as made:
         assert made.name == "out"
@@ -70,7 +60,7 @@ def test_folders_on_the_way_are_made_for_what_is_written(kind, tmp_path) -> None
     assert [path for path in there(tmp_path) if path != "a/b/out/inside"] == ["a", "a/b", "a/b/out"]
 
 
-@each_whole
+@each_kind
 def test_what_fails_leaves_nothing_not_even_the_folders_on_the_way(kind, tmp_path) -> None:
     (tmp_path / "a").mkdir()
     with pytest.raises(KeyboardInterrupt):
@@ -138,7 +128,7 @@ def test_a_file_that_is_there_stays_unless_it_is_forced(tmp_path, force, words) 
 
 
 @pytest.mark.parametrize("force", [False, True, None])
-@each_whole
+@each_kind
 def test_nothing_takes_the_place_of_a_part_of_a_run(kind, tmp_path, force) -> None:
     run = RunFolder.create(tmp_path / "run", run_spec({"gripper": "panda", "object": "mug"}), None).path
     for name in (*there(run), "scene.bundle", "run.sqlite", "run.sqlite-wal", "lock", "ranking.csv"):
@@ -187,33 +177,6 @@ def test_a_folder_of_the_kind_is_replaced_by_force_alone_and_as_a_whole(tmp_path
     with forced.writing() as made:
         fill(made, OutFolder)
     assert there(tmp_path) == ["out", "out/inside"]
-
-
-def test_files_are_put_beside_others_in_a_shared_folder_all_or_none(tmp_path: Path) -> None:
-    folder = SharedFolder(tmp_path / "a" / "out")
-    put(folder, {"one": "1"})
-    with pytest.raises(DiskFull):
-        put(folder, {"one": "again", "two": "2"}, FULL)
-    assert (there(tmp_path), (tmp_path / "a/out/one").read_text()) == (["a", "a/out", "a/out/one"], "1")
-    put(folder, {"one": "1 again", "three": "3"})
-    assert there(tmp_path) == ["a", "a/out", "a/out/one", "a/out/three"]
-    assert (tmp_path / "a" / "out" / "one").read_text() == "1 again"
-
-
-def test_none_is_put_into_a_shared_folder_where_one_is_in_the_place_of_something_else(tmp_path: Path) -> None:
-    (tmp_path / "two").mkdir()
-    with pytest.raises(OutputError, match="two is a folder"):
-        put(SharedFolder(tmp_path), {"one": "1", "two": "2"})
-    assert there(tmp_path) == ["two"]
-
-
-def test_a_shared_folder_of_another_kind_is_left_alone(tmp_path: Path) -> None:
-    folder = SharedFolder(tmp_path, is_kind=lambda path: (path / "mark").exists())
-    folder.check()
-    (tmp_path / "other").touch()
-    assert refused(folder) == f"{tmp_path} holds other files (other); {ADVICE}."
-    (tmp_path / "mark").touch()
-    folder.check()
 
 
 def test_a_full_disk_is_told_of_and_nothing_is_left(tmp_path: Path) -> None:

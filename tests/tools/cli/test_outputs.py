@@ -55,6 +55,7 @@ FILES = {
 }
 """Commands that write a file, by name."""
 FOLDERS = {
+    "analyse": "analyse run --out OUT",
     "campaign": "campaign campaign.toml --out OUT",
     "export graspgen": "export run --format graspgen -o OUT",
     "rerank": "rerank run --out OUT",
@@ -62,13 +63,6 @@ FOLDERS = {
     "security init": "security init OUT",
 }
 """Commands that write a folder."""
-SHARED = {
-    "analyse": "analyse run --out OUT",
-    "asset check": "asset check mug --pictures OUT",
-    "gripper check": "gripper check jaw.urdf --picture OUT",
-    "object check": "object check part.stl --picture OUT",
-}
-"""Commands that put files into a folder beside others."""
 KINDS: dict[str, Callable[[Path], object]] = {
     "a folder": Path.mkdir,
     "a link": lambda path: path.symlink_to("jaw.urdf"),
@@ -117,7 +111,7 @@ def each(*tables: dict[str, str]) -> pytest.MarkDecorator:
 
 
 @pytest.mark.usefixtures("home")
-@each(FILES, FOLDERS, SHARED)
+@each(FILES, FOLDERS)
 def test_a_path_below_a_file_is_refused(command: str) -> None:
     Path("taken").write_text("mine")
     out = written(command, "taken/new/out")

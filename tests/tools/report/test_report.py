@@ -108,13 +108,11 @@ def test_figures_without_anything_to_draw_are_left_out_and_earlier_ones_removed(
     record(tmp_path / "runs/a", made_scene(), rows, method="contact_rand", evaluations=30)
     out = analysed(tmp_path).out
     assert (out / "figure4-cells.png").exists()
-    (out / "notes").write_text("mine")
     shutil.rmtree(tmp_path / "runs")
     rows["outcome"] = Outcome.MISSED
     record(tmp_path / "runs/a", made_scene(), rows, method="contact_rand", evaluations=30)
     assert set(analysed(tmp_path).left_out) == {FIGURES[1], FIGURES[2], FIGURES[3]}
     assert sorted(file.name for file in out.glob("*.png")) == ["figure1-comparison.png"]
-    assert (out / "notes").read_text() == "mine"
 
 
 def test_a_folder_with_files_of_others_is_left_as_it_is(campaign: Path) -> None:
