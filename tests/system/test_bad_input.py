@@ -46,11 +46,6 @@ def test_a_wrong_flag_is_named_with_what_exists(qdgrasp, flags, words):
     assert not (qdgrasp.home / "out").exists()
 
 
-def test_a_missing_gripper_or_object_is_asked_for(qdgrasp):
-    assert "--object" in sentence(qdgrasp("run", "--gripper", "panda"))
-    assert "--gripper" in sentence(qdgrasp("run", "--object", "mug"))
-
-
 def test_a_misspelt_key_in_a_spec_is_named(qdgrasp):
     spec = qdgrasp.home / "spec.toml"
     spec.write_text('gripper = "panda"\nobject = "mug"\nevaluation = 10\n')
@@ -79,13 +74,6 @@ def test_an_object_that_cannot_be_is_refused(qdgrasp, flags, words):
     said = sentence(qdgrasp("run", "--gripper", "panda", "--object", part, *flags, "--out", "out"))
     assert all(word in said for word in words), said
     assert not (qdgrasp.home / "out").exists()
-
-
-@pytest.mark.parametrize("content", [b"", b"this is no mesh", b"solid nothing\nendsolid nothing\n"])
-def test_an_empty_or_unreadable_mesh_is_refused(qdgrasp, content):
-    part = qdgrasp.home / "part.stl"
-    part.write_bytes(content)
-    assert "part.stl" in sentence(qdgrasp("run", "--gripper", "panda", "--object", part, "--mass", "0.3"))
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,9 @@
 """`qdgrasp-monitor` with real processes, and that everything counts the same at the end."""
 
-import fcntl
 import json
 import os
 import pty
 import select
-import struct
 import subprocess
 import sys
 import termios
@@ -112,7 +110,7 @@ class Terminal:
 
     def __init__(self, qdgrasp: Commands, *arguments: str) -> None:
         self._near, far = pty.openpty()
-        self.resize(24, 80)
+        fcntl.ioctl(self._near, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
         self.before = termios.tcgetattr(self._near)
         self.seen = b""
         self.process = subprocess.Popen(
@@ -125,9 +123,6 @@ class Terminal:
             start_new_session=True,
         )
         os.close(far)
-
-    def resize(self, lines: int, columns: int) -> None:
-        fcntl.ioctl(self._near, termios.TIOCSWINSZ, struct.pack("HHHH", lines, columns, 0, 0))
 
     def shows(self, words: str) -> None:
         """Wait for words that are drawn from now on."""
@@ -180,7 +175,3 @@ def test_a_key_ends_it_and_leaves_the_terminal_as_it_was(terminal: tuple[Termina
     assert shown.ends() == 0
     assert b"\x1b[?1049l" in shown.seen  # back from the other screen
     assert b"\x1b[?25h" in shown.seen  # with a cursor
-
-
-ALL_COUNTS = ["evaluations", "budget", "rows", "trials", "simulated", "proposals", "overlaps", "dead_ends"]
-ALL_COUNTS += ["successes", "grasps", "robust", "errors", "cells"]

@@ -87,20 +87,6 @@ def test_rows_are_those_of_the_simulator(evaluations: qdgrasp.Evaluations, near:
         assert rows[column].tobytes() == expected[column].tobytes(), column
 
 
-def test_how_genomes_are_grouped_changes_nothing(evaluations: qdgrasp.Evaluations, near: np.ndarray) -> None:
-    whole = evaluations.evaluate(near)
-    parts = np.concatenate([evaluations.evaluate(near[:13]), evaluations.evaluate(near[13:])])
-    for column in ("genome", "outcome", "fitness", "joints"):
-        assert parts[column].tobytes() == whole[column].tobytes(), column
-
-
-def test_times_that_are_over_leave_the_next_call_in_order(evaluations, near) -> None:
-    for asked in (near, near[5:], near[:2]):
-        with pytest.raises(TimeoutError):
-            evaluations.evaluate(asked, timeout=0.0)
-    assert evaluations.evaluate(near[:3])["genome"].tobytes() == near[:3].tobytes()
-
-
 def test_poses_that_were_found_score_as_they_did(evaluations: qdgrasp.Evaluations, near: np.ndarray) -> None:
     rows = evaluations.evaluate(near)
     poses = rows["base_to_object"]

@@ -47,31 +47,13 @@ def routers(qdgrasp: Commands, folder: Path) -> Routers:
     return Routers(qdgrasp, folder)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM])
-@pytest.mark.parametrize("encrypted", [False, True])
-def test_a_router_stops_cleanly_also_with_clients(routers, folder, number, encrypted) -> None:
-    endpoint = own_endpoint("tls") if encrypted else own_endpoint()
+def test_a_router_stops_cleanly_also_with_clients(routers) -> None:
+    endpoint = own_endpoint()
     process = routers.start(endpoint)
-    shown = Credentials.find(folder, Role.WORKER) if encrypted else None
-    with ZenohBus.connect(endpoint, PATIENCE, credentials=shown) as client:
+    with ZenohBus.connect(endpoint, PATIENCE) as client:
         client.token(KEYS.worker_token("w"))
-        process.send_signal(number)
-        assert process.wait(PATIENCE) == 128 + number
-
-
-@pytest.mark.parametrize(
-    ("flags", "sentence"),
-    [
-        (["--listen", "tcp/0.0.0.0:0"], "Anyone who reaches tcp/0.0.0.0:0 could read everything"),
-        (["--listen", "tls/127.0.0.1:0"], "needs certificates: name their folder with --security"),
-        (["--security", "nowhere"], "lacks ca.pem and router.pem and router.key and router.json5"),
-        (["--listen", "here"], "is not an endpoint"),
-    ],
-)
-def test_bad_input_is_one_sentence(qdgrasp: Commands, flags: list[str], sentence: str) -> None:
-    _, said = end_of(qdgrasp.start(*flags, module=ROUTER), 2)
-    assert sentence in said
-    assert said.count("\n") == 1
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(PATIENCE) == 128 + signal.SIGTERM
 
 
 def test_two_routers_relay_and_one_takes_over_from_the_other(routers: Routers, folder: Path) -> None:

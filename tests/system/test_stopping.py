@@ -15,10 +15,6 @@ from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 from tests.system.commands import (
-    COORDINATOR,
-    MONITOR,
-    RECORDER,
-    ROUTER,
     SMALL,
     WORKER,
     Commands,
@@ -94,12 +90,6 @@ def with_a_hanging_simulator(qdgrasp: Commands) -> subprocess.Popen[str]:
     return process
 
 
-def coordinating(qdgrasp: Commands) -> subprocess.Popen[str]:
-    """A coordinator that is to meet the others at a router which is not there."""
-    (qdgrasp.home / "mugs.toml").write_text('gripper = "panda"\nobject = "tennis_ball"\n')
-    return seeking("mugs.toml", module=COORDINATOR)(qdgrasp)
-
-
 def viewing(qdgrasp: Commands) -> subprocess.Popen[str]:
     """A page of a finished run, open in a browser."""
     record(qdgrasp.home / "mug", made_scene(), random_rows(20))
@@ -112,16 +102,6 @@ def viewing(qdgrasp: Commands) -> subprocess.Popen[str]:
     connection.request("GET", "/api/jobs/mug/runs/run/scene")
     answer = connection.getresponse()
     assert (answer.status, answer.read()[:1]) == (200, b"{")
-    return process
-
-
-def routing(qdgrasp: Commands) -> subprocess.Popen[str]:
-    """A router at which a worker waits for jobs."""
-    endpoint = own_endpoint()
-    process = qdgrasp.start("--listen", endpoint, module=ROUTER)
-    says(process, "listening")
-    worker = qdgrasp.start("--connect", endpoint, module=WORKER)
-    wait_for(lambda: _is_loaded(worker.pid), "its threads")
     return process
 
 
@@ -147,13 +127,7 @@ BEGINNINGS: dict[str, Beginning] = {
     "a run whose workers hang": frozen("worker"),
     "a campaign's scene that is built": campaigning,
     "jobs without a router": seeking("jobs"),
-    "a monitor without a router": seeking("--wait", "60", module=MONITOR),
-    "an order without a router": seeking("pause", "mugs"),
-    "a router with a client": routing,
-    "a router without the other one": seeking("--listen", own_endpoint(), module=ROUTER),
-    "a recorder without a router": seeking("--job", "mugs", "--out", "out", module=RECORDER),
     "a worker without a router": seeking(module=WORKER),
-    "a coordinator without a router": coordinating,
     "a worker whose simulator hangs": with_a_hanging_simulator,
     "an evaluation that is filmed": looking("render", "run", "--grasp", 0, "-o", "a.gif"),
     "rows that are verified": looking("verify", "run", "--all"),

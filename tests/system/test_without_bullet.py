@@ -9,6 +9,7 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 from tests.system.commands import Commands, end_of
+from tests.system.test_without_extras import LEFT_OUT
 from typer.testing import CliRunner
 
 import qdgrasp as api
@@ -82,9 +83,11 @@ def test_the_sentence_says_how_bullet_is_had(monkeypatch, without_bullet: Path, 
     check_engine("mujoco")
 
 
-def test_a_run_in_mujoco_is_carried_out_verified_and_exported(qdgrasp: Commands) -> None:
+def test_a_run_in_mujoco_is_carried_out_verified_and_exported_without_extras_too(qdgrasp: Commands) -> None:
+    absent = [*LEFT_OUT, "pybullet"]
     (qdgrasp.home / "absent").mkdir()
-    (qdgrasp.home / "absent" / "sitecustomize.py").write_text("import sys; sys.modules['pybullet'] = None")
+    blocked = f"import sys; sys.modules.update(dict.fromkeys({absent}))"
+    (qdgrasp.home / "absent" / "sitecustomize.py").write_text(blocked)
     paths = os.pathsep.join([str(qdgrasp.home / "absent"), os.environ.get("PYTHONPATH", "")])
 
     def said(*words: object) -> str:
@@ -95,6 +98,6 @@ def test_a_run_in_mujoco_is_carried_out_verified_and_exported(qdgrasp: Commands)
         assert {"mujoco", "mujoco_probes"} <= journal.platform.keys()
         assert not {"pybullet", "probes"} & journal.platform.keys()
     assert "this platform" in said("verify", "run", "--workers", 1)
-    grasps = qdgrasp.home / "grasps.yaml"
-    CliRunner().invoke(app, ["export", str(qdgrasp.home / "run"), "--format", "isaac", "-o", str(grasps)])
-    assert "confidence" in grasps.read_text()
+    said("render", "run", "--grasp", 0, "-o", "drawn.png")
+    said("export", "run", "--format", "isaac", "-o", "g.yaml")
+    assert all((qdgrasp.home / name).stat().st_size for name in ("drawn.png", "g.yaml"))

@@ -1,6 +1,5 @@
 """Without the packages of extras: the main job to its end, and a sentence for each feature that needs one."""
 
-import os
 import sys
 import tomllib
 from pathlib import Path
@@ -9,7 +8,6 @@ import pytest
 from packaging.requirements import Requirement
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
-from tests.system.commands import Commands, end_of
 from typer.testing import CliRunner
 
 from qdgrasp_protocol.errors import EXTRAS, MissingPackage
@@ -87,20 +85,3 @@ def test_the_extras_are_those_of_the_distribution() -> None:
     assert "qdgrasp[all]" in listed["dev"]
     base = {Requirement(text).name for text in project["dependencies"]}
     assert not base & {name for names in EXTRAS.values() for name in names}
-
-
-def test_the_main_job_does_without_the_packages_of_extras(qdgrasp: Commands) -> None:
-    (qdgrasp.home / "absent").mkdir()
-    blocked = f"import sys; sys.modules.update(dict.fromkeys({LEFT_OUT}))"
-    (qdgrasp.home / "absent" / "sitecustomize.py").write_text(blocked)
-    paths = os.pathsep.join([str(qdgrasp.home / "absent"), os.environ.get("PYTHONPATH", "")])
-
-    def said(*words: object) -> str:
-        return end_of(qdgrasp.start(*words, PYTHONPATH=paths))[0]
-
-    search = ("--method", "antipodal_me_scs", "--set", "population=10", "--evaluations", 40, "--workers", 1)
-    said("run", *SCENE, "--protocol", "physical", "--engine", "mujoco", *search, "--out", "run")
-    assert "40 evaluations" in said("info", "run")
-    said("render", "run", "--grasp", 0, "-o", "drawn.png")
-    said("export", "run", "--format", "isaac", "-o", "g.yaml")
-    assert all((qdgrasp.home / name).stat().st_size for name in ("drawn.png", "g.yaml"))
