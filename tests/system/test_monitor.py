@@ -1,9 +1,11 @@
 """`qdgrasp-monitor` with real processes, and that everything counts the same at the end."""
 
+import fcntl
 import json
 import os
 import pty
 import select
+import struct
 import subprocess
 import sys
 import termios
