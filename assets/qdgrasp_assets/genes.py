@@ -1,7 +1,6 @@
 """Genes: the layout of a prior's genomes for a scene, and the box of hand positions."""
 
 from collections.abc import Callable
-from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,19 +14,14 @@ Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 NU_A = np.pi / 4  # Half-aperture of the approach cone (Huber et al. 2024, section III-A).
 ANTIPODAL = "antipodal"  # The prior that needs a two-finger hand
-AIMED = "aimed"  # The prior that aims at a cell and chooses among candidates by a linear score
-VALUED = "valued"  # The same prior with candidates chosen by the value of a grasp
-FEATURES = ("swept", "opposed", "facing", "distance", "height", "constant")
-"""Features by which `AIMED` ranks candidates, also reported with a pose (docs/methods.md)."""
+VALUED = "valued"  # The prior that aims at a cell and chooses among candidates by their value
 GRIP_FEATURES = ("fingers", "squareness", "opposition", "alignment", "lever", "depth", "stroke")
 """Features of the contacts that closing fingers would make."""
-VALUE_FEATURES = (*FEATURES[:-1], *GRIP_FEATURES, "constant")
-"""Features by which `VALUED` ranks candidates, also reported with a pose."""
-PRIOR_FEATURES = {AIMED: FEATURES, VALUED: VALUE_FEATURES}
-RANKING_GENES = {AIMED: len(FEATURES), VALUED: 2 * len(VALUE_FEATURES) + 1}
-"""Number of genes that rank candidates: weights of a score, or of two models with the value wanted."""
+VALUE_FEATURES = ("swept", "opposed", "facing", "distance", "height", *GRIP_FEATURES, "constant")
+"""Features by which `VALUED` ranks candidates, also reported with a pose (docs/methods.md)."""
+RANKING_GENES = 2 * len(VALUE_FEATURES) + 1
+"""Number of genes that rank candidates: the weights of two models, and the value wanted."""
 MOST_CANDIDATES = 32
-STEEPEST = 8.0  # Largest absolute weight of a feature in the score of `AIMED`
 TOUCH_VALUE = 0.2  # Value of a grasp that only touches, relative to the best
 STEEPEST_VALUE = 64.0  # Largest absolute weight of a feature in the models of `VALUED`
 
@@ -47,7 +41,7 @@ def layout(scene: Scene, prior: str) -> Layout:
 
 def descriptors(prior: str) -> int:
     """Return how many numbers describe a genome's pose: position and the prior's features."""
-    return 3 + len(PRIOR_FEATURES.get(prior, ()))
+    return 3 + (len(VALUE_FEATURES) if prior == VALUED else 0)
 
 
 def archive_box(scene: Scene, prior: str) -> Box:
@@ -107,36 +101,23 @@ def _spherical(scene: Scene) -> Genes:
     return (radius, *(Gene(name, 0.0, high) for name, high in angles.items()))
 
 
-def _aimed(scene: Scene) -> Genes:
-    """Return the genes of `AIMED`: of the aim, and the weight of each feature."""
-    return *_aim(scene), *_weights("w", FEATURES, STEEPEST)
-
-
 def _valued(scene: Scene) -> Genes:
     """Return the genes of `VALUED`: the aim, weights of both models, and the value wanted."""
-    models = (_weights(model, VALUE_FEATURES, STEEPEST_VALUE) for model in ("touch", "quality"))
-    return *_aim(scene), *chain(*models), Gene("wanted", 0.0, 1.0)
-
-
-def _aim(scene: Scene) -> Genes:
-    """Return target cell, contact point, roll, looseness and number of candidates."""
-    target = zip("xyz", *(corner.tolist() for corner in archive_box(scene, AIMED)), strict=True)
+    target = zip("xyz", *(corner.tolist() for corner in archive_box(scene, VALUED)), strict=True)
     contact = zip("xyz", scene.object_low, scene.object_high, strict=True)
+    weights = (f"{model}_{feature}" for model in ("touch", "quality") for feature in VALUE_FEATURES)
     return (
         *(Gene(f"{axis}_t", low, high) for axis, low, high in target),
         *(Gene(f"{axis}_c", low, high) for axis, low, high in contact),
         Gene("omega", 0.0, 2 * np.pi),
         Gene("looseness", 0.0, 1.0),
         Gene("candidates", 1.0, float(MOST_CANDIDATES)),
+        *(Gene(weight, -STEEPEST_VALUE, STEEPEST_VALUE) for weight in weights),
+        Gene("wanted", 0.0, 1.0),
     )
 
 
-def _weights(model: str, features: tuple[str, ...], steepest: float) -> Genes:
-    return tuple(Gene(f"{model}_{feature}", -steepest, steepest) for feature in features)
-
-
 PRIOR_GENES: dict[str, Callable[[Scene], Genes]] = {
-    AIMED: _aimed,
     VALUED: _valued,
     GIVEN: _given,
     ANTIPODAL: _antipodal,

@@ -86,7 +86,7 @@ class Evaluations:
     Parameters
     ----------
     prior
-        The rule that decodes genomes: "contact", "approach", "antipodal", "spherical", "aimed", "valued" or
+        The rule that decodes genomes: "contact", "approach", "antipodal", "spherical", "valued" or
         "given" (docs/methods.md).
     place
         Where the workers run.

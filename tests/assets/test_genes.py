@@ -22,9 +22,7 @@ def cube() -> Scene:
 
 
 AIM = ("x_t", "y_t", "z_t", "x_c", "y_c", "z_c", "omega", "looseness", "candidates")
-WEIGHTS = ("w_swept", "w_opposed", "w_facing", "w_distance", "w_height", "w_constant")
 NAMES = {
-    "aimed": (*AIM, *WEIGHTS),
     "antipodal": ("x_r", "y_r", "z_r", "Omega"),
     "approach": ("x_r", "y_r", "z_r", "nu", "d", "xi", "omega"),
     "contact": ("x_r", "y_r", "z_r", "nu", "d", "xi", "omega"),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.common import PATIENCE
 
-from qdgrasp_assets.genes import RANKING_GENES, layout
+from qdgrasp_assets.genes import RANKING_GENES, VALUED, layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
@@ -24,7 +24,7 @@ NEAR = (-1.0, -0.5)
 HANDS = ["panda", "barrett", "allegro", "shadow", "robotiq_2f"]
 LOOSENESS, CANDIDATES, WEIGHTS = 7, 8, slice(9, 15)
 """Genes of the prior aimed."""
-RANKED_BY = {prior: slice(9, 9 + genes) for prior, genes in RANKING_GENES.items()}
+RANKED_BY = slice(9, 9 + RANKING_GENES)
 """The genes that rank candidates; the last one sets a threshold."""
 
 
@@ -69,7 +69,7 @@ def elsewhere(act: Callable[..., T], *arguments: object) -> T:
         return pool.submit(act, *arguments).result(PATIENCE)
 
 
-def encoded(scene: Scene, values: NDArray[np.float64], prior: str = "aimed") -> Genomes:
+def encoded(scene: Scene, values: NDArray[np.float64], prior: str = "valued") -> Genomes:
     """Genomes (n, d) of a prior that stand for `values` (n, d) [m or rad]."""
     genes = layout(scene, prior).genes
     low, high = np.array([gene.low for gene in genes]), np.array([gene.high for gene in genes])
@@ -77,9 +77,9 @@ def encoded(scene: Scene, values: NDArray[np.float64], prior: str = "aimed") -> 
 
 
 def facing(
-    scene: Scene, n: int, *, candidates: int, looseness: float = 0.0, seed: int = 0, prior: str = "aimed"
+    scene: Scene, n: int, *, candidates: int, looseness: float = 0.0, seed: int = 0
 ) -> NDArray[np.float64]:
-    """Values (n, d) of genomes of the prior aimed or valued that look straight at surface points.
+    """Values (n, d) of genomes of the prior valued that look straight at surface points.
 
     Their hands are a third into the stand-off, at any roll, and their weights zero.
     """
@@ -87,11 +87,11 @@ def facing(
     chosen = random.integers(len(scene.surface_points), size=n)
     low, high = scene.gripper.standoff
     distance = scene.gripper.palm_offset + low + (high - low) / 3
-    values = random.uniform(0.0, 1.0, (n, len(layout(scene, prior))))
+    values = random.uniform(0.0, 1.0, (n, len(layout(scene, VALUED))))
     values[:, 3:6] = scene.surface_points[chosen]
     values[:, :3] = values[:, 3:6] + distance * scene.surface_normals[chosen]
     values[:, 6] *= 2 * np.pi
-    values[:, LOOSENESS], values[:, CANDIDATES], values[:, RANKED_BY[prior]] = looseness, candidates, 0.0
+    values[:, LOOSENESS], values[:, CANDIDATES], values[:, RANKED_BY] = looseness, candidates, 0.0
     return values
 
 

@@ -9,7 +9,7 @@ from tests.worker.genomes import RANKED_BY, above, decoded, encoded, facing
 
 from qdgrasp_assets.genes import GRIP_FEATURES, TOUCH_VALUE
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.candidate_ranking import RANKINGS, PoseFeatures
+from qdgrasp_worker.candidate_ranking import PoseFeatures, scores, thresholds
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.object_geometry import ObjectSolid
@@ -30,21 +30,15 @@ def evaluator(scene):
         yield evaluator
 
 
-@pytest.fixture(scope="module", params=RANKINGS)
-def prior(request):
-    return request.param
-
-
 @pytest.fixture(scope="module")
-def genomes(scene, prior):
-    values = facing(scene, N, candidates=12, seed=1, prior=prior)
-    ranked_by = values[:, RANKED_BY[prior]]
+def genomes(scene):
+    values = facing(scene, N, candidates=12, seed=1)
+    ranked_by = values[:, RANKED_BY]
     ranked_by[N // 2 :] = np.random.default_rng(2).uniform(-4.0, 4.0, ranked_by[N // 2 :].shape)
     ranked_by[::2, -1] = 0.0
-    if prior == "valued":
-        ranked_by[:, -1] = np.abs(ranked_by[:, -1] / 8)
+    ranked_by[:, -1] = np.abs(ranked_by[:, -1] / 8)
     values[::9, :3] *= 0.6  # inside the object, some
-    return encoded(scene, values, prior)
+    return encoded(scene, values)
 
 
 def rows_of(evaluator, prior, genomes, trial=0):
@@ -54,14 +48,14 @@ def rows_of(evaluator, prior, genomes, trial=0):
 
 
 @pytest.fixture(scope="module")
-def rows(evaluator, prior, genomes):
-    return rows_of(evaluator, prior, genomes)
+def rows(evaluator, genomes):
+    return rows_of(evaluator, "valued", genomes)
 
 
 @pytest.fixture(scope="module")
-def candidates(scene, evaluator, prior, genomes):
+def candidates(scene, evaluator, genomes):
     """The poses (m, 7) of all candidates, the genome of each, and their features."""
-    grasps = decoded(scene, prior, genomes)
+    grasps = decoded(scene, "valued", genomes)
     (places,) = np.nonzero(~grasps.dead_ends)
     features = evaluator._candidate_screen._features.features(grasps, places)
     poses = np.concatenate([grasps.positions[places], grasps.quaternions[places]], axis=1)
@@ -69,17 +63,17 @@ def candidates(scene, evaluator, prior, genomes):
 
 
 def test_the_best_candidate_that_promises_enough_and_does_not_overlap_is_simulated(
-    evaluator, prior, rows, candidates
+    evaluator, rows, candidates
 ):
-    (poses, of, features, weights), ranking = candidates, RANKINGS[prior]
-    thresholds = ranking.thresholds(weights)
+    poses, of, features, weights = candidates
+    least = thresholds(weights)
     overlaps = rows_of(evaluator, "given", poses)["outcome"] == Outcome.OVERLAP
     chosen = refused = 0
     for i, row in enumerate(rows):
         mine = np.flatnonzero((of == i) & ~overlaps)
-        value = ranking.scores(features[mine], np.tile(weights[i], (len(mine), 1)))
+        value = scores(features[mine], np.tile(weights[i], (len(mine), 1)))
         is_choosy = weights[i, -1] != 0
-        if not len(mine) or value.max() < thresholds[i]:
+        if not len(mine) or value.max() < least[i]:
             refused += len(mine) > 0
             assert row["outcome"] in (
                 (Outcome.DEAD_END,) if is_choosy else (Outcome.OVERLAP, Outcome.DEAD_END)
@@ -94,26 +88,26 @@ def test_the_best_candidate_that_promises_enough_and_does_not_overlap_is_simulat
 
 
 def test_a_value_is_that_of_the_formula_rounded_and_demanded_where_the_last_gene_is_above_zero():
-    random, ranking = np.random.default_rng(0), RANKINGS["valued"]
+    random = np.random.default_rng(0)
     features = random.uniform(-1, 1, (200, 13)).astype(np.float32)
     weights = random.normal(0, 2, (200, 27))
     touch, quality = (
         1 / (1 + np.exp(-(features * some).sum(axis=1))) for some in (weights[:, :13], weights[:, 13:26])
     )
-    scores = ranking.scores(features, weights)
-    np.testing.assert_allclose(scores, touch * (TOUCH_VALUE + (1 - TOUCH_VALUE) * quality), atol=6e-7)
-    assert (scores == scores.round(6)).all()
-    assert np.ptp(scores) > 0.9
-    assert ranking.scores(features[7:8], weights[7:8]) == scores[7]
+    found = scores(features, weights)
+    np.testing.assert_allclose(found, touch * (TOUCH_VALUE + (1 - TOUCH_VALUE) * quality), atol=6e-7)
+    assert (found == found.round(6)).all()
+    assert np.ptp(found) > 0.9
+    assert scores(features[7:8], weights[7:8]) == found[7]
     expected = np.where(weights[:, 26] > 0, weights[:, 26], -np.inf)
-    np.testing.assert_array_equal(ranking.thresholds(weights), expected)
+    np.testing.assert_array_equal(thresholds(weights), expected)
 
 
-def test_a_trial_disturbs_the_pose_that_was_taken_at_first(evaluator, prior, rows, genomes):
+def test_a_trial_disturbs_the_pose_that_was_taken_at_first(evaluator, rows, genomes):
     found = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)[:6]
     assert len(found) == 6
     for trial in (1, 2):
-        again = rows_of(evaluator, prior, genomes[found], trial)
+        again = rows_of(evaluator, "valued", genomes[found], trial)
         np.testing.assert_array_equal(again["base_to_object"], rows["base_to_object"][found])
         alone = rows_of(evaluator, "given", rows["base_to_object"][found], trial)
         for name in POSE:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from tests.common import with_gripper
 from tests.worker.genomes import draw
 
-from qdgrasp_assets.genes import RANKING_GENES
+from qdgrasp_assets.genes import VALUED
 from qdgrasp_assets.scene import FreeJoint, Synergy
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.rows import NO_SYNERGY
@@ -37,7 +37,7 @@ class TestEveryPrior:
     def genomes(self, prior, cube):
         decoder = decoder_of(cube, prior)
         genomes = draw(3000, len(decoder.layout))
-        if prior in RANKING_GENES:
+        if prior == VALUED:
             genomes[:, decoder.layout.names.index("candidates")] = -1.0
         return genomes[~decoder(genomes).dead_ends][:200]
 

@@ -7,12 +7,11 @@ depends on the genome alone.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import AIMED, PRIOR_FEATURES, TOUCH_VALUE, VALUED
+from qdgrasp_assets.genes import TOUCH_VALUE, VALUE_FEATURES, VALUED, descriptors
 from qdgrasp_assets.geometry.rotation import Floats, dot
 from qdgrasp_assets.geometry.voxels import rotation_matrices
 from qdgrasp_assets.grippers.hand_geometry import Closing
@@ -28,54 +27,22 @@ DEFAULT_WEIGHTS = np.array([0.25, 1.0])
 VALUE_DECIMALS = 6  # Decimals of a value; rounded, the last bits of an exponential decide no order
 
 
-class Ranking(Protocol):
-    """Scores candidates by features and the numbers of their genomes."""
+def scores(features: NDArray[np.float32], weights: Floats) -> Floats:
+    """The value (p,) of poses: P(touch) (c + (1 - c) q), c being `TOUCH_VALUE`.
 
-    def scores(self, features: NDArray[np.float32], weights: Floats) -> Floats:
-        """Scores (p,) of poses, of their features (p, f) and the weights (p, w) of their genomes."""
-
-    def thresholds(self, weights: Floats) -> Floats:
-        """The least score (n,) of a pose to simulate, by genomes' weights (n, w); -inf: any."""
-
-
-class ScoreRanking:
-    """Weights times features.
-
-    A weight of the constant feature, which changes no order, sets a threshold at 0.
+    P(touch) and the quality q of a grasp that touches are logistic functions of features (p, f). The weights
+    (p, w) of each pose's genome are those of P(touch), those of q, and the least value to simulate.
     """
-
-    def scores(self, features: NDArray[np.float32], weights: Floats) -> Floats:
-        """See `Ranking.scores`."""
-        total = weighted_sums(features, weights)
-        return np.where(weights.any(axis=1), total, default_scores(features))
-
-    def thresholds(self, weights: Floats) -> Floats:
-        """See `Ranking.thresholds`."""
-        return np.where(weights[:, -1] != 0.0, 0.0, -np.inf)
+    touch, hold = weights[:, : features.shape[1]], weights[:, features.shape[1] : -1]
+    value = logistic(weighted_sums(features, touch)) * (
+        TOUCH_VALUE + (1.0 - TOUCH_VALUE) * logistic(weighted_sums(features, hold))
+    )
+    return np.where(touch.any(axis=1), value.round(VALUE_DECIMALS), default_scores(features))
 
 
-class ValueRanking:
-    """The value P(touch) (c + (1 - c) q).
-
-    P(touch) and the quality q of a grasp that touches are logistic functions of features. Weights are those
-    of P(touch), those of q, and the least value to simulate.
-    """
-
-    def scores(self, features: NDArray[np.float32], weights: Floats) -> Floats:
-        """See `Ranking.scores`."""
-        touch, hold = weights[:, : features.shape[1]], weights[:, features.shape[1] : -1]
-        value = logistic(weighted_sums(features, touch)) * (
-            TOUCH_VALUE + (1.0 - TOUCH_VALUE) * logistic(weighted_sums(features, hold))
-        )
-        return np.where(touch.any(axis=1), value.round(VALUE_DECIMALS), default_scores(features))
-
-    def thresholds(self, weights: Floats) -> Floats:
-        """See `Ranking.thresholds`."""
-        return np.where(weights[:, -1] > 0.0, weights[:, -1], -np.inf)
-
-
-RANKINGS: dict[str, Ranking] = {AIMED: ScoreRanking(), VALUED: ValueRanking()}
-"""Rankings of the priors whose genomes have several candidates."""
+def thresholds(weights: Floats) -> Floats:
+    """The least value (n,) of a pose to simulate, by genomes' weights (n, w); -inf: any."""
+    return np.where(weights[:, -1] > 0.0, weights[:, -1], -np.inf)
 
 
 def weighted_sums(features: NDArray[np.float32], weights: Floats) -> Floats:
@@ -111,12 +78,11 @@ class PoseFeatures:
 
         All but height, lever and depth are between 0 and 1, or -1 and 1.
         """
-        features = np.ones((len(places), len(PRIOR_FEATURES[grasps.prior])), dtype=np.float32)
+        features = np.ones((len(places), len(VALUE_FEATURES)), dtype=np.float32)
         features[:, :2] = self._volumes.shares(self._points, grasps, places)
         features[:, 2:5] = self._geometry(grasps, places)
-        if grasps.prior == VALUED:
-            contacts = self._volumes.first_contacts(self._solid.sample, grasps, places)
-            features[:, 5:-1] = self._grip(contacts, grasps, places)
+        contacts = self._volumes.first_contacts(self._solid.sample, grasps, places)
+        features[:, 5:-1] = self._grip(contacts, grasps, places)
         return features
 
     def _geometry(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> Floats:
@@ -238,22 +204,22 @@ class CandidateScreen:
         left = np.setdiff1d(left, self._table(grasps, np.intersect1d(nominal, left)))
         features, order = self._rank(grasps, left)
         fallbacks = np.full(len(trials), int(Outcome.OVERLAP))
-        if grasps.prior in RANKINGS:
-            fallbacks[RANKINGS[grasps.prior].thresholds(grasps.weights) > -np.inf] = Outcome.DEAD_END
+        if grasps.prior == VALUED:
+            fallbacks[thresholds(grasps.weights) > -np.inf] = Outcome.DEAD_END
         return make_shortlists(grasps, poses, order, fallbacks), features
 
     def _rank(
         self, grasps: DecodedGrasps, left: NDArray[np.intp]
     ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
         """The features (poses, f), and those of `left` with enough score, best first per genome."""
-        features = np.zeros((len(grasps), len(PRIOR_FEATURES.get(grasps.prior, ()))), dtype=np.float32)
-        if grasps.prior not in RANKINGS:
+        features = np.zeros((len(grasps), descriptors(grasps.prior) - 3), dtype=np.float32)
+        if grasps.prior != VALUED:
             return features, left
-        ranking, rows = RANKINGS[grasps.prior], grasps.genome_of[left]
+        rows = grasps.genome_of[left]
         features[left] = self._features.features(grasps, left)
-        promised = ranking.scores(features[left], grasps.weights[rows])
+        promised = scores(features[left], grasps.weights[rows])
         best_first = np.lexsort([-promised, rows])
-        is_enough = promised >= ranking.thresholds(grasps.weights)[rows]
+        is_enough = promised >= thresholds(grasps.weights)[rows]
         return features, left[best_first[is_enough[best_first]]]
 
     @cached_property

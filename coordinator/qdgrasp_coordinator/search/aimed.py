@@ -123,7 +123,7 @@ def exploration_grasps(
 
 def posture_genes(space: SearchSpace) -> int:
     """The number of genes of the posture, synergy and free joints, behind the prior's own."""
-    return space.genes - FIRST_WEIGHT - RANKING_GENES[space.layout.prior]
+    return space.genes - FIRST_WEIGHT - RANKING_GENES
 
 
 def _on_faces(low: Floats, high: Floats, n: int, generator: np.random.Generator) -> tuple[Floats, Floats]:

@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import MOST_CANDIDATES, RANKING_GENES, STEEPEST_VALUE, VALUED
+from qdgrasp_assets.genes import MOST_CANDIDATES, RANKING_GENES, STEEPEST_VALUE
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.search.aimed import (
@@ -84,7 +84,7 @@ class ValueModel:
 
         All are zero before the first fit, unless the spec has weights of other runs.
         """
-        weights = np.zeros((len(wanted), RANKING_GENES[VALUED]))
+        weights = np.zeros((len(wanted), RANKING_GENES))
         if self.touch.weights.any():
             both = np.concatenate([self.touch.weights, self.quality.weights])
             weights[:, :-1] = np.clip(both, -STEEPEST_VALUE, STEEPEST_VALUE)
@@ -231,7 +231,7 @@ class ValueSearch:
         All zero where every pose counts, because one that is refused would count as well.
         """
         if self._counts_all:
-            return np.zeros((len(wanted), RANKING_GENES[self._space.layout.prior]))
+            return np.zeros((len(wanted), RANKING_GENES))
         return self._model.ranking(wanted)
 
     def _exploring(self, generation: int, n: int) -> AimedGrasps:

@@ -27,7 +27,6 @@ PRIOR_HUES = {
     "approach": "#d55e00",
     "antipodal": "#009e73",
     "valued": "#cc79a7",
-    "aimed": "#a2587f",
     "spherical": "#4d4d4d",
 }
 FAMILIES: dict[str, Dashes] = {
@@ -41,7 +40,7 @@ FAMILIES: dict[str, Dashes] = {
 """Line styles: searches are drawn through, dotted or dash-dotted, plain sampling is dashed; `own`: those of
 a program's own."""
 PALEST_VARIANT = 0.65  # How much white is in the palest of a method's variants
-PRIOR_ORDER = ("valued", "aimed", "contact", "approach", "antipodal", "spherical")
+PRIOR_ORDER = ("valued", "contact", "approach", "antipodal", "spherical")
 """The priors as they stand in legends and side by side: the default method's leads."""
 MethodVariant = tuple[str, str]  # A method, and the words that tell its variant from others
 

@@ -15,7 +15,7 @@ from qdgrasp_assets.geometry.rotation import conjugate, dot, from_frame, multipl
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.search.base import SearchSpace
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
-from qdgrasp_worker.candidate_ranking import RANKINGS
+from qdgrasp_worker.candidate_ranking import scores, thresholds
 
 SIZE = np.array([0.04, 0.06, 0.1])
 PALM, DEEPEST = 0.06, 0.05
@@ -164,7 +164,7 @@ def _aimed(box) -> tuple[Gene, ...]:
         Gene("omega", 0.0, 2 * np.pi),
         Gene("looseness", 0.0, 1.0),
         Gene("candidates", 1.0, MOST_CANDIDATES),
-        *(Gene(f"weight {i}", -STEEPEST_VALUE, STEEPEST_VALUE) for i in range(RANKING_GENES[VALUED] - 1)),
+        *(Gene(f"weight {i}", -STEEPEST_VALUE, STEEPEST_VALUE) for i in range(RANKING_GENES - 1)),
         Gene("wanted", 0.0, 1.0),
     )
 
@@ -198,8 +198,8 @@ def _candidates(genomes: np.ndarray, values: np.ndarray) -> tuple[Poses, np.ndar
     first, second = tangents(unit(contacts - positions))
     kept = np.arctan2(dot(aside, second), dot(aside, first)) + scatter[:, 0] * TURN * (draws[:, 10] - 0.5)
     poses = Poses(positions, contacts, normals, np.where(is_loose, 2 * np.pi * draws[:, 11], kept))
-    ranking, weights = RANKINGS[VALUED], values[:, 9 : 9 + RANKING_GENES[VALUED]]
-    scores, thresholds = ranking.scores(poses.features, weights[owners]), ranking.thresholds(weights)
+    weights = values[:, 9 : 9 + RANKING_GENES]
+    scores, thresholds = scores(poses.features, weights[owners]), thresholds(weights)
     takes_any = thresholds == -np.inf
     is_good = (poses.outcomes >= Outcome.MISSED) & (scores >= thresholds[owners])
     preference = 2 * is_good + (poses.is_there & takes_any[owners])

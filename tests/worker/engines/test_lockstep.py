@@ -29,10 +29,10 @@ def physical(hand: str = "panda", target: str = "rubiks_cube", protocol: str = "
     ("scene", "prior"),
     [
         (physical(), "approach"),
-        (physical(), "aimed"),
+        (physical(), "valued"),
         (physical("allegro", "mug"), "contact"),
         (physical(protocol="robust"), "approach"),
-        (physical(protocol="robust"), "aimed"),
+        (physical(protocol="robust"), "valued"),
     ],
     ids=["panda", "candidates", "synergies", "trials", "candidates-in-trials"],
 )

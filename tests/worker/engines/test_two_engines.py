@@ -26,7 +26,7 @@ def scene(engine: str | None, friction: float | None = SLIPPERY, **more: str) ->
 @pytest.mark.parametrize(("order", "friction"), [(ORDERS[0], None), (ORDERS[1], SLIPPERY)])
 def test_what_holds_in_the_first_engine_has_the_verdict_of_the_second(order, friction):
     asked = scene(order, friction)
-    rows = evaluated(asked, "aimed", encoded(asked, facing(asked, POSES, candidates=16)))
+    rows = evaluated(asked, "valued", encoded(asked, facing(asked, POSES, candidates=16)))
     poses = rows["base_to_object"]
     first, second = (evaluated(scene(name, friction), GIVEN, poses) for name in order.split(","))
     is_tried = first["outcome"] == Outcome.HELD
@@ -45,7 +45,7 @@ def test_a_trial_is_passed_where_both_engines_hold():
     more = {"protocol": "robust", "base": "physical"}
     asked = scene("mujoco,bullet", **more)
     genomes = encoded(asked, facing(asked, POSES, candidates=16))
-    nominal = evaluated(scene("mujoco"), "aimed", genomes)
+    nominal = evaluated(scene("mujoco"), "valued", genomes)
     poses = nominal["base_to_object"][nominal["outcome"] == Outcome.HELD]
     trials = np.resize([1, 2, 3], len(poses))
     both = evaluated(asked, GIVEN, poses, trials)

@@ -1,7 +1,6 @@
 """Evaluation is a pure function of scene, genome and trial: the same bytes in any order."""
 
 import warnings
-from functools import partial
 
 import numpy as np
 import pytest
@@ -47,10 +46,9 @@ CASES = {
     "synergies": ("approach", lambda make: many_ways(make("panda", "tennis_ball", "released"))),
     "antipodal": ("antipodal", lambda make: make("panda", "mug", "paper")),
     "spherical": ("spherical", lambda make: make("panda", "tennis_ball", "paper")),
-    "aimed": ("aimed", lambda make: many_ways(make("panda", "rubiks_cube", "paper"))),
-    "valued": ("valued", lambda make: make("panda", "rubiks_cube", "physical")),
+    "valued": ("valued", lambda make: many_ways(make("panda", "rubiks_cube", "physical"))),
 }
-MANY = {"synergies": (160, 16), "spherical": (160, 16), "aimed": (240, 96), "valued": (240, 96)}
+MANY = {"synergies": (160, 16), "spherical": (160, 16), "valued": (240, 96)}
 """Number of genomes, and of those from near by, where that is not 320 and 32."""
 
 
@@ -66,21 +64,21 @@ def spherical(scene: Scene, genomes: Genomes) -> Genomes:
     return (values / high * 2 - 1).astype(np.float32)
 
 
-def aimed(scene: Scene, genomes: Genomes, prior: str = "aimed", steepest: float = 8.0) -> Genomes:
-    """Genomes of such a prior: at cells beside the poses of genomes of the prior approach."""
+def valued(scene: Scene, genomes: Genomes) -> Genomes:
+    """Genomes of the prior valued: at cells beside the poses of genomes of the prior approach."""
     grasps = decoded(scene, "approach", genomes)
     random, n = np.random.default_rng(4), len(genomes)
-    values = facing(scene, n, candidates=1, prior=prior)
+    values = facing(scene, n, candidates=1)
     values[:, :3] = grasps.positions + random.integers(0, 2, (n, 3)) * 0.01
     values[:, 3:6] = grasps.surface_points
     values[:, LOOSENESS] = random.choice([0.0, 0.5, 1.0], n, p=[0.8, 0.1, 0.1])
     values[:, CANDIDATES] = random.choice([1.0, 4.0, 32.0], n)
-    ranked_by = values[::2, RANKED_BY[prior]]
-    ranked_by[:] = random.uniform(-steepest, steepest, ranked_by.shape)
-    return encoded(scene, values, prior)
+    ranked_by = values[::2, RANKED_BY]
+    ranked_by[:] = random.uniform(-0.3, 0.3, ranked_by.shape)
+    return encoded(scene, values)
 
 
-RECAST = {"spherical": spherical, "aimed": aimed, "valued": partial(aimed, prior="valued", steepest=0.3)}
+RECAST = {"spherical": spherical, "valued": valued}
 """The priors whose genomes are made from those of approach."""
 
 

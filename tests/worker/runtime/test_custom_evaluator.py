@@ -84,7 +84,7 @@ def test_trials_show_the_hand_as_the_object_is_disturbed(make_scene) -> None:
 
 def test_a_prior_whose_candidates_only_the_simulator_chooses_among_is_refused(cube: Scene) -> None:
     with pytest.raises(InputError, match="take a method with another prior"):
-        CustomEvaluator(cube, Height).shape("aimed")
+        CustomEvaluator(cube, Height).shape("valued")
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import RANKING_GENES
+from qdgrasp_assets.genes import VALUED
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError
@@ -49,7 +49,7 @@ class CustomEvaluator(BatchEvaluator):
 
     def shape(self, prior: str) -> RowShape:
         """As `BatchEvaluator.shape`; an InputError if the prior leaves a choice to the simulator."""
-        if prior in RANKING_GENES:
+        if prior == VALUED:
             raise InputError(
                 f"Genomes of the prior '{prior}' stand for candidates, which only the simulator of this "
                 "package chooses among; take a method with another prior (`qdgrasp methods`)."

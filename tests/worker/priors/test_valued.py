@@ -9,7 +9,7 @@ N, K = 40, 32
 
 
 def decode(scene, values):
-    return decoded(scene, "aimed", encoded(scene, values))
+    return decoded(scene, "valued", encoded(scene, values))
 
 
 @pytest.fixture(scope="module")
@@ -51,13 +51,13 @@ def test_contact_points_are_surface_points_beside_the_hint(cube, values, grasps,
 
 def test_candidates_depend_on_the_bytes_of_their_genome_alone(cube, values, grasps) -> None:
     genomes = encoded(cube, values)
-    alone = decoded(cube, "aimed", genomes[7:8])
+    alone = decoded(cube, "valued", genomes[7:8])
     mine = grasps.genome_of == 7
     np.testing.assert_array_equal(alone.positions, grasps.positions[mine])
     np.testing.assert_array_equal(alone.quaternions, grasps.quaternions[mine])
     other = genomes[7:8].copy()
-    other[0, -1] = np.nextafter(other[0, -1], np.float32(1.0))  # the weight of the constant
-    changed = decoded(cube, "aimed", other)
+    other[0, -1] = np.nextafter(other[0, -1], np.float32(1.0))  # the value wanted
+    changed = decoded(cube, "valued", other)
     assert not (changed.positions == alone.positions).all(axis=1).any()
 
 

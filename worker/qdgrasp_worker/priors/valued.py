@@ -1,4 +1,4 @@
-"""aimed: the hand is put into a cell, and looks at the object from there.
+"""valued: the hand is put into a cell, and looks at the object from there.
 
 An archive keeps a pose by the hand's position, so that a search may choose the position and leave the rest to
 geometry. A genome names a target, whose cell of 1 cm the hand stands in, a hint of the contact point, a roll,
@@ -30,16 +30,15 @@ from qdgrasp_worker.priors.surface_priors import look_along
 PER_METRE = 100  # Cells in a metre: cell k reaches from k - 0.5 to k + 0.5 cm
 POINT_SIGMA = 0.007  # Standard deviation of a tightly drawn contact point along each axis [m]
 ROLL_SIGMA = 0.15  # rad
-TARGET, HINT, OMEGA, LOOSENESS, CANDIDATES, FIRST_WEIGHT = slice(0, 3), slice(3, 6), 6, 7, 8, 9
-"""The places of the prior's own genes; the numbers that rank candidates follow."""
+TARGET, HINT, OMEGA, LOOSENESS, CANDIDATES = slice(0, 3), slice(3, 6), 6, 7, 8
+WEIGHTS = slice(9, 9 + known.RANKING_GENES)
+"""The places of the prior's own genes; `WEIGHTS` rank candidates."""
 
 
-class AimedPrior(Prior):
+class ValuedPrior(Prior):
     """A prior whose genomes stand for several candidates each, ranked by genes of their own."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self._weights = slice(FIRST_WEIGHT, FIRST_WEIGHT + known.RANKING_GENES[name])
+    name = known.VALUED
 
     def candidates(
         self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface
@@ -55,7 +54,7 @@ class AimedPrior(Prior):
             scatter_candidates(candidates[start : start + count], genome_generator(genome), surface)
         points = surface.points[surface.nearest(candidates[:, HINT])]
         candidates[:, OMEGA] += rolls(asides[rows], unit_directions(candidates[:, TARGET], points))
-        return PriorCandidates(rows, candidates, genes[:, self._weights])
+        return PriorCandidates(rows, candidates, genes[:, WEIGHTS])
 
     def poses(self, genes: Floats, surface: ObjectSurface, hand: SceneGripper) -> PriorPoses:
         """The poses that candidates (m, k) stand for; dead ends are zeros."""
@@ -107,5 +106,4 @@ def genome_generator(genome: NDArray[np.float32]) -> Generator:
     return np.random.default_rng(np.frombuffer(digest, dtype="<u4").tolist())
 
 
-AIMED = AimedPrior(known.AIMED)
-VALUED = AimedPrior(known.VALUED)
+VALUED = ValuedPrior()
