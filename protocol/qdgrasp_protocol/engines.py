@@ -2,9 +2,9 @@
 
 import sys
 from importlib.util import find_spec
-from typing import Literal, Self, get_args
+from typing import Literal, NamedTuple, Self, get_args
 
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.errors import EXTRAS, InputError, check_packages
 
 EngineName = Literal["bullet", "mujoco", "mujoco-warp"]
 """The physics engines (docs/engines.md)."""
@@ -49,3 +49,22 @@ def check_engine(engine: str | None) -> None:
     """Raise `MissingEngine` if Bullet (None) is among these, and PyBullet is not installed here."""
     if DEFAULT_ENGINE in engine_names(engine) and not has_bullet():
         raise MissingEngine
+
+
+MOST_WORLDS = 4096  # Most genomes of a generation
+CPU_WORLDS = 64  # On warp's CPU device, which is for tests
+
+
+class Device(NamedTuple):
+    """A device that evaluates many rows together."""
+
+    name: str
+    """Its name in warp: cpu, cuda, cuda:1."""
+    worlds: int
+    """Rows that it evaluates at once."""
+
+    @classmethod
+    def find(cls, name: str, worlds: int | None = None) -> Self:
+        """A device by its name; None: as many worlds as fill it. An InputError without the packages."""
+        check_packages(f"--device {name}", *EXTRAS["gpu"])
+        return cls(name, worlds or (CPU_WORLDS if name == "cpu" else MOST_WORLDS))

@@ -12,7 +12,7 @@ from packaging.version import Version
 from tests.deploy.commands import DEPLOY
 
 from qdgrasp_protocol.errors import EXTRAS
-from qdgrasp_worker.device import DEVICE_MODULE
+from qdgrasp_worker.evaluator import DEVICE_MODULE
 
 ROOT = DEPLOY.parent
 CONTAINER = DEPLOY / "container"

@@ -3,6 +3,13 @@
 Candidates that surely overlap are left out, the others are ranked by features (docs/methods.md), and those
 whose score is too low are refused. A genome's own numbers turn features into a score, so that the choice
 depends on the genome alone.
+
+Overlap: points on and in the collision shapes of the open hand, the first of them wide apart, are looked up
+in voxels that are wholly inside the object. A point of both bodies proves an overlap, so that no pose is
+rejected that the simulator accepts. Few points are looked up for all poses, more for the remaining ones.
+
+Table: it is a plane, and no body in the simulator. A hand stays above it if the lowest corner of its open
+fingers and palm does, at its pose and where its approach begins.
 """
 
 from dataclasses import dataclass
@@ -13,12 +20,12 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import TOUCH_VALUE, VALUE_FEATURES, VALUED, descriptors
 from qdgrasp_assets.geometry.rotation import Floats, dot
-from qdgrasp_assets.geometry.voxels import rotation_matrices
-from qdgrasp_assets.grippers.hand_geometry import Closing
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.geometry.voxels import rotation_matrices, transform_points
+from qdgrasp_assets.grippers.hand_geometry import POINTS_AT_ONCE, STAGES, Closing, hand_geometry
+from qdgrasp_assets.grippers.reachability import HandApproach
+from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import DecodedGrasps
-from qdgrasp_worker.filters.pose_filters import OverlapFilter, TableFilter
 from qdgrasp_worker.object_geometry import ObjectSolid
 from qdgrasp_worker.swept_volume import FirstContacts, SweptVolumes
 
@@ -144,6 +151,60 @@ def least_met(meets: NDArray[np.bool_], values: Floats) -> Floats:
 def lengths(vectors: Floats) -> Floats:
     """The lengths (...) of vectors (..., 3)."""
     return np.sqrt(dot(vectors, vectors))
+
+
+class OverlapFilter:
+    """Finds poses of a scene at which the hand surely overlaps.
+
+    The hand is tested with its free joints where the grasp has them (`follows_free_joints`), or open.
+    """
+
+    def __init__(self, gripper: SceneGripper, solid: ObjectSolid, *, follows_free_joints: bool) -> None:
+        self._samples = hand_geometry(gripper).samples
+        self._inside = solid.inside
+        self._follows = follows_free_joints and bool(gripper.free_joints)
+        self._opened = np.array([[joint.opened for joint in gripper.joints]], dtype=np.float32)
+
+    def __call__(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Those of `places` in a batch of grasps at which the hand surely overlaps, ascending."""
+        rejected = []
+        for stage in STAGES:
+            hit = self._hits(grasps, places, stage)
+            rejected.append(places[hit])
+            places = places[~hit]
+        return np.sort(np.concatenate(rejected))
+
+    def _hits(self, grasps: DecodedGrasps, places: NDArray[np.intp], stage: slice) -> NDArray[np.bool_]:
+        """(p,): poses that have one of the points of a stage inside the object."""
+        step = max(1, POINTS_AT_ONCE // (stage.stop - stage.start))
+        starts = range(0, len(places), step)
+        parts = [self._look(grasps, places[i : i + step], stage) for i in starts]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=bool)
+
+    def _look(self, grasps: DecodedGrasps, places: NDArray[np.intp], stage: slice) -> NDArray[np.bool_]:
+        postures = grasps.joints[places] if self._follows else self._opened
+        points = self._samples.points(postures, stage)
+        x, y, z = transform_points(
+            points, rotation_matrices(grasps.quaternions[places]), grasps.positions[places]
+        )
+        return np.asarray(self._inside.at(x, y, z).any(axis=1))
+
+
+class TableFilter:
+    """Finds poses at which the hand comes below the table in each of a scene's resting poses."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._poses = scene.resting_poses
+        self._approach = HandApproach(scene.gripper, scene.approach_distance) if self._poses else None
+
+    def __call__(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Those of `places` in a batch of grasps that are refused; none without a table."""
+        if self._approach is None:
+            return places[:0]
+        clear = self._approach.clear_of(
+            self._poses, grasps.positions[places], grasps.quaternions[places], grasps.joints[places]
+        )
+        return places[~clear.any(axis=1)]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from qdgrasp_assets.geometry.rotation import rotate
 from qdgrasp_assets.grippers.reachability import APPROACH_STEP
 from qdgrasp_assets.scene import Vector
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import (
     CLOSING_STEPS,
@@ -20,7 +21,6 @@ from qdgrasp_worker.evaluation_protocols import (
     Shake,
     TrialSetup,
 )
-from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.world import GraspContact, GraspWorld, HandFrame, ShakenWorld
 
 LOST_CHECK_EVERY = 5  # Steps of closing between two checks whether the object has left

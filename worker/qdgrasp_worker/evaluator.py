@@ -19,20 +19,20 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.engines import DEVICE_ENGINE, engine_names
+from qdgrasp_protocol.engines import DEVICE_ENGINE, Device, engine_names
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
+from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
-from qdgrasp_worker.device import DEVICE_MODULE, Device
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode, outcome_of
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
-from qdgrasp_worker.filters.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
 from qdgrasp_worker.physical_episode import LiftEpisode, PhysicalEpisode, PhysicalWorld
 from qdgrasp_worker.world import GraspContact, ShakenWorld
 
+DEVICE_MODULE = "qdgrasp_worker.engines.warp_worlds"
 REASON_LENGTH = 200
 
 

@@ -11,13 +11,19 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.engines import DEFAULT_ENGINE, DEVICE_ENGINE, ENGINE_PACKAGES, EngineName, has_bullet
+from qdgrasp_protocol.engines import (
+    DEFAULT_ENGINE,
+    DEVICE_ENGINE,
+    ENGINE_PACKAGES,
+    Device,
+    EngineName,
+    has_bullet,
+)
 from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import RunSpec, run_spec
-from qdgrasp_worker.device import DEVICE_MODULE, Device
 from qdgrasp_worker.engines import ENGINES
-from qdgrasp_worker.evaluator import Evaluator, make_evaluator
+from qdgrasp_worker.evaluator import DEVICE_MODULE, Evaluator, make_evaluator
 
 EVALUATION = 1
 """Number of what an evaluation computes; raised when golden digests of rows change on purpose."""

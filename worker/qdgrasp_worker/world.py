@@ -17,9 +17,9 @@ from qdgrasp_assets.grippers.hand_geometry import free_posture
 from qdgrasp_assets.scene import SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_worker.contact_filter import Box, SweptBox
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake, TrialSetup
-from qdgrasp_worker.filters.contact_filter import Box, SweptBox
 
 Quaternion = tuple[float, float, float, float]
 HandFrame = tuple[Floats, Floats]

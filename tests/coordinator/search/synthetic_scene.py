@@ -199,11 +199,11 @@ def _candidates(genomes: np.ndarray, values: np.ndarray) -> tuple[Poses, np.ndar
     kept = np.arctan2(dot(aside, second), dot(aside, first)) + scatter[:, 0] * TURN * (draws[:, 10] - 0.5)
     poses = Poses(positions, contacts, normals, np.where(is_loose, 2 * np.pi * draws[:, 11], kept))
     weights = values[:, 9 : 9 + RANKING_GENES]
-    scores, thresholds = scores(poses.features, weights[owners]), thresholds(weights)
-    takes_any = thresholds == -np.inf
-    is_good = (poses.outcomes >= Outcome.MISSED) & (scores >= thresholds[owners])
+    values_of, least = scores(poses.features, weights[owners]), thresholds(weights)
+    takes_any = least == -np.inf
+    is_good = (poses.outcomes >= Outcome.MISSED) & (values_of >= least[owners])
     preference = 2 * is_good + (poses.is_there & takes_any[owners])
-    order = np.lexsort((-scores, -preference, owners))
+    order = np.lexsort((-values_of, -preference, owners))
     best = order[np.unique(owners[order], return_index=True)[1]]
     return poses[best], np.where(is_good[best] | takes_any, counts, -counts)
 

@@ -17,6 +17,7 @@ import numpy as np
 from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
+from qdgrasp_worker.contact_filter import Box
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.bullet import (
     BASE,
@@ -30,9 +31,7 @@ from qdgrasp_worker.engines.bullet import (
     TableBody,
 )
 from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
-from qdgrasp_worker.filters.contact_filter import Box
-from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
-from qdgrasp_worker.physical_episode import PhysicalWorld
+from qdgrasp_worker.physical_episode import FingerControl, FingerDrive, PhysicalWorld
 from qdgrasp_worker.world import (
     AWAY_POSITION,
     HAND_FRICTION,

@@ -18,8 +18,7 @@ from qdgrasp_worker.engines.mujoco_simulation import FREE_DOFS, Simulation
 from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld
 from qdgrasp_worker.episode import EpisodeResult, outcome_of, settled_pose
 from qdgrasp_worker.evaluation_protocols import TrialSetup
-from qdgrasp_worker.finger_drive import FingerDrive
-from qdgrasp_worker.physical_episode import PUSHES, REST_SPEED, REST_SPIN, RESTING_LOOKS
+from qdgrasp_worker.physical_episode import PUSHES, REST_SPEED, REST_SPIN, RESTING_LOOKS, FingerDrive
 from qdgrasp_worker.world import GraspContact
 
 Rows: TypeAlias = NDArray[np.intp]

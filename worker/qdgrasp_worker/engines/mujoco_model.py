@@ -26,8 +26,7 @@ from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, parse_ro
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.evaluation_protocols import Physics
-from qdgrasp_worker.finger_drive import FingerDrive
-from qdgrasp_worker.physical_episode import HULL_MARGIN, TABLE_HALF
+from qdgrasp_worker.physical_episode import HULL_MARGIN, TABLE_HALF, FingerDrive
 
 DETECTION_GAP = 5e-4  # Extra distance at which contacts are found; two shapes add theirs [m]
 LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # For a link that has none in Bullet [kg, kg m2]

@@ -8,8 +8,8 @@ import numpy as np
 
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_worker.contact_filter import Box
 from qdgrasp_worker.engines.mujoco_model import OBJECT, TABLE, SceneModel
-from qdgrasp_worker.filters.contact_filter import Box
 from qdgrasp_worker.physical_episode import HULL_MARGIN
 from qdgrasp_worker.world import NEAR, Touch
 

@@ -21,13 +21,18 @@ from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate
 from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_worker.contact_filter import Box
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, SceneModel, finger_drives
 from qdgrasp_worker.engines.mujoco_simulation import Simulation
 from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
-from qdgrasp_worker.filters.contact_filter import Box
-from qdgrasp_worker.finger_drive import FingerControl, FingerDrive
-from qdgrasp_worker.physical_episode import HULL_MARGIN, PhysicalWorld, table_middle
+from qdgrasp_worker.physical_episode import (
+    HULL_MARGIN,
+    FingerControl,
+    FingerDrive,
+    PhysicalWorld,
+    table_middle,
+)
 from qdgrasp_worker.world import (
     AWAY_POSITION,
     HAND_FRICTION,

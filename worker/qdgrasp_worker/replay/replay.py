@@ -18,12 +18,12 @@ from qdgrasp_protocol.engines import engine_names
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.replay_messages import ANSWER, REQUEST, SCENE, ReplayAnswer, ReplayRequest
 from qdgrasp_protocol.rows import GIVEN, Outcome
+from qdgrasp_worker.candidate_ranking import TableFilter
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import scene_protocol
 from qdgrasp_worker.evaluator import contact_columns, make_episode, verdict_in_all
-from qdgrasp_worker.filters.pose_filters import TableFilter
 from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.replay.episode_recorder import EpisodeRecorder, make_pose
 

@@ -23,9 +23,9 @@ from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, disturbance_count, nominal_protocol
+from qdgrasp_worker.candidate_ranking import TableFilter
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.evaluator import REASON_LENGTH, ROWS_AT_ONCE, BatchEvaluator, Evaluation, row_refusals
-from qdgrasp_worker.filters.pose_filters import TableFilter
 from qdgrasp_worker.platform import EVALUATION
 from qdgrasp_worker.runtime.evaluator_api import EvaluatorFactory, EvaluatorFn, Hands
 from qdgrasp_worker.runtime.simulator_main import main as serve

@@ -13,11 +13,7 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.voxels import convex_hulls
 from qdgrasp_assets.grippers.hand_geometry import free_posture, hand_geometry
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
-from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
-from qdgrasp_worker.episode import ShakenEpisode
-from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
-from qdgrasp_worker.filters.contact_filter import (
+from qdgrasp_worker.contact_filter import (
     MAX_VOXELS,
     BoundingBalls,
     ContactFilter,
@@ -25,6 +21,10 @@ from qdgrasp_worker.filters.contact_filter import (
     interpolate_course,
     measure_zones,
 )
+from qdgrasp_worker.decoder import HandPose
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
+from qdgrasp_worker.episode import ShakenEpisode
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.object_geometry import ObjectSolid
 
 small = st.floats(-1.0, 1.0, width=32)
@@ -153,7 +153,7 @@ def away(zone, frame, points):
 
 @pytest.mark.parametrize("most", [MAX_VOXELS, 30_000])
 def test_distances_are_never_too_large_and_voxels_not_too_many(most, cube, monkeypatch):
-    monkeypatch.setattr("qdgrasp_worker.filters.contact_filter.MAX_VOXELS", most)
+    monkeypatch.setattr("qdgrasp_worker.contact_filter.MAX_VOXELS", most)
     world = BulletShakenWorld(cube)
     hand = hand_geometry(cube.gripper)
     course = np.array(world.closing(world.opened, -1))

@@ -5,10 +5,10 @@ import pytest
 from tests.worker.genomes import decoded, draw
 
 from qdgrasp_assets.genes import layout
+from qdgrasp_worker.candidate_ranking import OverlapFilter
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
-from qdgrasp_worker.filters.pose_filters import OverlapFilter
 from qdgrasp_worker.object_geometry import ObjectSolid
 
 SCENES = [("panda", "mug", "paper"), ("barrett", "rubiks_cube", "paper"), ("allegro", "mug", "released")]

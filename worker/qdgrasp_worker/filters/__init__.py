@@ -1,1 +1,0 @@
-"""Filters of poses that need no simulation: the hand overlaps, or surely misses."""
