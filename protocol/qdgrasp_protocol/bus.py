@@ -48,6 +48,21 @@ class Query:
     payload: bytes
 
 
+@dataclass(frozen=True)
+class TokenChange:
+    """A token that is watched appeared or vanished."""
+
+    key: str
+    alive: bool
+
+
+@dataclass(frozen=True)
+class LinkChange:
+    """A transport of this session came up or went down."""
+
+    up: bool
+
+
 SampleHandler = Callable[[Sample], None]
 QueryHandler = Callable[[Query], bytes]
 """Answers a query.

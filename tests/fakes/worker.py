@@ -19,7 +19,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Control, Failure, Joined, Result, Work, deflated
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, pack, unpack
-from qdgrasp_worker.runtime.background_requests import SceneStore
+from qdgrasp_worker.runtime.background_tasks import SceneStore
 from qdgrasp_worker.runtime.service import Inbox, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import SimulatorSettings
 from qdgrasp_worker.runtime.simulator_supervisor import SimulatorClient, SimulatorSupervisor

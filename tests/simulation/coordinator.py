@@ -12,7 +12,7 @@ from tests.simulation.worker import BUILDING_CODE, JOB, KEYS
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
 from qdgrasp_coordinator.scheduler.coordinator_service import MOST_WAIT
-from qdgrasp_coordinator.scheduler.inbox import JoinRequest, LinkChange
+from qdgrasp_coordinator.scheduler.inbox import JoinRequest
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue, WantedShape, WantedShapes
@@ -30,6 +30,7 @@ from qdgrasp_coordinator.scheduler.run_registry import (
 )
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import MeshFile, ShapeTask
+from qdgrasp_protocol.bus import LinkChange
 from qdgrasp_protocol.errors import InputError, NoReply, Refused, TookOver
 from qdgrasp_protocol.keys import last_chunk
 from qdgrasp_protocol.messages import Join

@@ -13,8 +13,7 @@ from functools import partial
 from math import inf
 from typing import Protocol
 
-from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
-from qdgrasp_protocol.bus import Channel, Query, Sample
+from qdgrasp_protocol.bus import Channel, LinkChange, Query, Sample, TokenChange
 from qdgrasp_protocol.errors import NoReply
 
 

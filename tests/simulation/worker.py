@@ -4,7 +4,6 @@ import struct
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import inf
 from queue import SimpleQueue
 from random import Random
 from signal import SIGABRT, SIGKILL, SIGTERM
@@ -18,7 +17,6 @@ from tests.simulation.network import Network, World
 from tests.simulation.process import Listen, Process, Steps
 
 from qdgrasp_assets.process_limits import STALL_SIGNAL, ProcessStats
-from qdgrasp_coordinator.scheduler.inbox import LinkChange, TokenChange
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Build
 from qdgrasp_protocol.bus import Sample
@@ -28,10 +26,15 @@ from qdgrasp_protocol.messages import Failure, Join, Joined, Result, worker_id
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.runtime import service as serving
-from qdgrasp_worker.runtime.background_requests import JOIN_SECONDS, JoinAnswered, SceneAnswered, SceneStore
-from qdgrasp_worker.runtime.builder_client import BuildEnded
+from qdgrasp_worker.runtime.background_tasks import (
+    JOIN_SECONDS,
+    BuildEnded,
+    JoinAnswered,
+    SceneAnswered,
+    SceneStore,
+)
 from qdgrasp_worker.runtime.job_registry import JobSession
-from qdgrasp_worker.runtime.service import CoordinatorSeen, Event, LinkChanged, StopRequested, WorkerService
+from qdgrasp_worker.runtime.service import StopRequested, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
     EvaluateRows,
@@ -350,10 +353,9 @@ class Worker(Process):
             self.network.subscribe(self.session, pattern)
         self.network.watch(self.session, KEYS.coordinator_token())
         while not self.service._shutdown.is_over(self.now):
-            seconds = self.service._wait_seconds(self.now)
-            yield Listen(inf if seconds is None else seconds)
+            yield Listen(self.service._wait_seconds(self.now))
             for event in self.events():
-                self.service._take(_event(event), self.now)
+                self.service._take(event, self.now)  # type: ignore[arg-type]
             self.service._step(self.now)
 
     def _start_simulator(self) -> FormulaSimulator:
@@ -367,17 +369,6 @@ class Worker(Process):
         ):
             how = {"store": SceneStore(None), "job": JOB, "grace": GRACE, "builds": self._builds}
             return WorkerService(self.bus, self._stop, self.supervisor, SimpleQueue(), **how)
-
-
-def _event(event: object) -> Event:
-    """An event as a worker has it."""
-    match event:
-        case TokenChange(key, alive):
-            return CoordinatorSeen(key, alive)
-        case LinkChange(up):
-            return LinkChanged(up)
-        case _:
-            return event  # type: ignore[return-value]
 
 
 class Forger(Process):

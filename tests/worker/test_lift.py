@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.worker.filters.test_table_filter import ABOVE_IT, UNDER
 from tests.worker.genomes import evaluated, outcomes, results
 from tests.worker.test_physical_episode import ABOVE, physical
+from tests.worker.test_pose_filters import ABOVE_IT, UNDER
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import AssetError, InputError

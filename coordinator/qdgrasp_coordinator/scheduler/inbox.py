@@ -15,7 +15,7 @@ from typing import TypeVar
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.scheduler.run_registry import LoaderEvent
 from qdgrasp_protocol import bundle_transfer, messages
-from qdgrasp_protocol.bus import Bus, Query, Sample
+from qdgrasp_protocol.bus import Bus, LinkChange, Query, Sample, TokenChange
 from qdgrasp_protocol.errors import MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.messages import Join, Order, OrderReply, shorten, worker_id
@@ -39,21 +39,6 @@ class AdminRequest:
 
     order: Order
     answer: Future[str] = field(default_factory=Future)
-
-
-@dataclass(frozen=True)
-class TokenChange:
-    """A token of this job appeared or vanished."""
-
-    key: str
-    alive: bool
-
-
-@dataclass(frozen=True)
-class LinkChange:
-    """A transport of this session came up or went down."""
-
-    up: bool
 
 
 @dataclass(frozen=True)

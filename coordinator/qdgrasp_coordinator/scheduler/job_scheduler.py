@@ -17,7 +17,7 @@ from msgspec import structs
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
 from qdgrasp_coordinator.metrics.time_left import TimeLeft
 from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher, read_result
-from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest, LinkChange, TokenChange
+from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest
 from qdgrasp_coordinator.scheduler.run_plan import BuildReply, ShapeWarning, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
@@ -33,7 +33,7 @@ from qdgrasp_coordinator.scheduler.worker_registry import WID_DIGITS, LostWorker
 from qdgrasp_coordinator.storage.platforms import LacksEngine, admit_platform, lacks_engine
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Built
-from qdgrasp_protocol.bus import Channel, DropCounter, Sample
+from qdgrasp_protocol.bus import Channel, DropCounter, LinkChange, Sample, TokenChange
 from qdgrasp_protocol.errors import (
     Cancelled,
     EndedEarly,

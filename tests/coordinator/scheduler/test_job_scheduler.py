@@ -11,12 +11,12 @@ from tests.fakes.messages import ANN, BOB, join_message
 from tests.fakes.recorder import JOB
 
 from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, JobEvent, WorkerStatus
-from qdgrasp_coordinator.scheduler.inbox import JoinRequest, TokenChange
+from qdgrasp_coordinator.scheduler.inbox import JoinRequest
 from qdgrasp_coordinator.scheduler.job_scheduler import LEAST_STOP_SECONDS, MOST_STOP_SECONDS, EarlyStop
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunNotOpened, RunOpened
 from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS
-from qdgrasp_protocol.bus import Sample
+from qdgrasp_protocol.bus import Sample, TokenChange
 from qdgrasp_protocol.errors import Cancelled, RunFailed
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Heartbeat, Join, Opened

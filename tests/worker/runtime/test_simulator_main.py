@@ -1,6 +1,6 @@
 """A simulator's process: the rows that it evaluates, and its limits on itself."""
 
-import socket
+from multiprocessing import Pipe
 from unittest.mock import Mock
 
 import pytest
@@ -16,7 +16,7 @@ from qdgrasp_worker.runtime.simulator_main import WORK_COLUMNS, SimulatorMain
 from qdgrasp_worker.runtime.simulator_messages import (
     BatchRejected,
     EvaluateRows,
-    FramedSocket,
+    MessageConnection,
     PartialResult,
 )
 
@@ -63,12 +63,12 @@ class Scarce:
 @pytest.mark.parametrize(("room", "loads", "last"), [(2, 4, PartialResult), (0, 1, BatchRejected)])
 def test_a_scene_that_cannot_be_loaded_is_tried_again_without_the_others(room, loads, last) -> None:
     load = Scarce(room)
-    ours, its = socket.socketpair()
+    ours, its = Pipe()
     with ours, its:
-        main = SimulatorMain(FramedSocket(its), 60.0, load)
+        main = SimulatorMain(MessageConnection(its), 60.0, load)
         for number in range(room + 1):
             main.evaluate(request(f"{number:064x}"))
-        told = FramedSocket(ours)
+        told = MessageConnection(ours)
         said = [told.receive() for _ in range(2 * room + 2 if room else 1)]
     assert load.loads == loads
     assert isinstance(said[-1], last)

@@ -8,9 +8,8 @@ from typer.testing import CliRunner
 
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.supervisor import DiesAgain, ProcessExit, ProcessSupervisor, RestartPolicy
-from qdgrasp_worker.cli import app
-from qdgrasp_worker.runtime import worker_pool as teams
-from qdgrasp_worker.runtime.worker_pool import POOL_OPTIONS, WorkerPool, worker_arguments
+from qdgrasp_worker import cli
+from qdgrasp_worker.cli import POOL_OPTIONS, WorkerPool, app, worker_arguments
 
 
 def parsed(given: list[str]) -> typer.Context:
@@ -98,6 +97,6 @@ def test_a_second_signal_is_passed_on_to_the_workers(tmp_path, monkeypatch):
             killed.extend(self.pids())
             super().stop(number)
 
-    monkeypatch.setattr(teams, "ProcessSupervisor", Told)
+    monkeypatch.setattr(cli, "ProcessSupervisor", Told)
     WorkerPool(2, [], grace=600.0, is_pinned=False).run(stop)
     assert killed == []

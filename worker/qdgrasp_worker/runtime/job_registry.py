@@ -4,25 +4,24 @@ Rules 2 and 3 of docs/bus.md. `JobSession` is pure: no bus, no clock; time is pa
 steady clock. `JobRegistry` opens sessions as coordinators appear, and joins and leaves jobs on the bus.
 """
 
-import os
 import random
-import socket
-from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from math import inf
-from typing import Self
+from typing import Self, TypeVar
 
+import msgspec
 import structlog
 
 from qdgrasp_protocol.build_messages import Build
 from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys, job_of, last_chunk, parse_number
-from qdgrasp_protocol.messages import VERSION, Control, Join, Joined, Work
-from qdgrasp_worker.runtime.background_requests import BackgroundRequests, JoinAnswered
+from qdgrasp_protocol.messages import Control, Join, Joined, Work
+from qdgrasp_worker.runtime.background_tasks import BackgroundRequests, JoinAnswered
 
 ABANDON_SECONDS = 60.0  # Seconds without a coordinator after which a job without held batches is closed
+AnyWork = TypeVar("AnyWork", Work, Build)
 RETRY_FIRST, RETRY_LAST = 0.05, 2.0  # Seconds between tries to join, before jitter
 
 
@@ -46,7 +45,7 @@ class JobSession:
         """Its coordinator is gone; the next one may count epochs anew."""
         self.is_draining = False
         """Its coordinator asked this worker to finish what it holds, and to leave."""
-        self._held: OrderedDict[bytes, Work | Build] = OrderedDict()
+        self._held: dict[bytes, Work | Build] = {}
         self._begun: set[bytes] = set()
         self._coordinators: set[int] = set()  # Epochs of the present coordinators
         self._left_at = 0.0
@@ -180,31 +179,16 @@ class JobSession:
             self._drop(message.drop)
             self.is_draining |= message.drain
 
-    @property
-    def waiting(self) -> list[Work]:
-        """The batches that are held and not begun, in the order they came."""
-        return [work for work in self._unbegun if isinstance(work, Work)]
+    def waiting(self, kind: type[AnyWork]) -> list[AnyWork]:
+        """The batches, or builds, that are held and not begun, in the order they came."""
+        unbegun = (work for batch, work in self._held.items() if batch not in self._begun)
+        return [work for work in unbegun if isinstance(work, kind)]
 
-    @property
-    def builds(self) -> list[Build]:
-        """The builds that are held and not begun, in the order they came."""
-        return [work for work in self._unbegun if isinstance(work, Build)]
-
-    @property
-    def _unbegun(self) -> list[Work | Build]:
-        return [work for batch, work in self._held.items() if batch not in self._begun]
-
-    def begin(self) -> Work:
-        """Begin the first batch that waits; it stays held until it is answered or released."""
-        work = self.waiting[0]
+    def begin(self, kind: type[AnyWork]) -> AnyWork:
+        """Begin the first one that waits; it stays held until it is answered or released."""
+        work = self.waiting(kind)[0]
         self._begun.add(work.batch)
         return work
-
-    def begin_build(self) -> Build:
-        """Begin the first build that waits; it stays held until it is answered or released."""
-        build = self.builds[0]
-        self._begun.add(build.batch)
-        return build
 
     def release(self, batch: bytes) -> None:
         """Forget a batch: its result is sent, or cannot be had here."""
@@ -236,28 +220,14 @@ class RefusedByJob(Refused):
 class JobRegistry:
     """The jobs that a worker serves, or `only` one; a context manager that withdraws its tokens.
 
-    `rows` is the number that its device evaluates at once; 0: it has none. `builds` is the digest of the code
-    with which it builds shapes; empty: it builds none. `wid` is made of `key` (`worker_id`).
+    `join` says all of the worker that is the same in every join.
     """
 
-    def __init__(
-        self,
-        bus: Bus,
-        requests: BackgroundRequests,
-        wid: str,
-        only: str | None,
-        rows: int = 0,
-        builds: str = "",
-        *,
-        key: bytes,
-    ) -> None:
+    def __init__(self, bus: Bus, requests: BackgroundRequests, join: Join, only: str | None) -> None:
         self._bus = bus
         self._requests = requests
-        self._wid = wid
-        self._key = key
+        self._join = join
         self._only = only
-        self._rows = rows
-        self._builds = builds
         self._sessions: dict[str, JobSession] = {}  # By job; the one that was served last stands last
         self._tokens: dict[str, AbstractContextManager[None]] = {}
         self._left: dict[str, int] = {}
@@ -274,10 +244,6 @@ class JobRegistry:
 
     def __iter__(self) -> Iterator[JobSession]:
         return iter(list(self._sessions.values()))
-
-    def __bool__(self) -> bool:
-        """True if any job is served."""
-        return bool(self._sessions)
 
     def get(self, job: str | None) -> JobSession | None:
         """The session of a job; None: it is not served."""
@@ -315,7 +281,7 @@ class JobRegistry:
         if epoch > left or (epoch == left and not is_alive):
             self._left.pop(job, None)
         if is_alive and job not in self._sessions and epoch > left:
-            self._tokens[job] = self._bus.token(Keys(job).worker_token(self._wid))
+            self._tokens[job] = self._bus.token(Keys(job).worker_token(self._join.wid))
             self._sessions[job] = JobSession(job, self._last_number)
         if job in self._sessions:
             self._sessions[job].on_coordinator(epoch, is_alive, now)
@@ -331,20 +297,9 @@ class JobRegistry:
             credit = self.share if is_open and not session.is_draining else 0
             session.set_credit(credit, now)
             if session.join_at <= now:
-                request = Join(
-                    versions=[VERSION],
-                    wid=self._wid,
-                    key=self._key,
-                    number=session.ask(credit),
-                    credit=credit,
-                    rows=self._rows,
-                    builds=self._builds,
-                    held=session.held,
-                    host=socket.gethostname(),
-                    pid=os.getpid(),
-                    platform=platform,
-                )
-                self._requests.join(session.job, request)
+                number, held = session.ask(credit), session.held
+                more = {"number": number, "credit": credit, "held": held, "platform": platform}
+                self._requests.join(session.job, msgspec.structs.replace(self._join, **more))
 
     def on_join_answered(self, answered: JoinAnswered, now: float) -> list[Sample]:
         """Take the answer to a join, or its error; return the messages that waited for it.
@@ -358,7 +313,7 @@ class JobRegistry:
         match answered.answer:
             case Joined() as answer:
                 if session.on_answer(answer, now, jitter()) and session.epoch != epoch:
-                    log.info("joined", job=session.job, epoch=session.epoch, worker=self._wid[:8])
+                    log.info("joined", job=session.job, epoch=session.epoch, worker=self._join.wid[:8])
             case Refused() as reason:
                 session.on_refusal()
                 log.error("a job does not take this worker", job=session.job, reason=str(reason))

@@ -23,20 +23,19 @@ from qdgrasp_assets.process_limits import process_stats
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Build
 from qdgrasp_protocol.bundle_transfer import TooLarge
-from qdgrasp_protocol.bus import Bus, Channel, DropCounter, Sample
+from qdgrasp_protocol.bus import Bus, Channel, DropCounter, LinkChange, Sample, TokenChange
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of
-from qdgrasp_protocol.messages import Control, Heartbeat, Work, shorten, worker_id
+from qdgrasp_protocol.messages import VERSION, Control, Heartbeat, Join, Work, shorten, worker_id
 from qdgrasp_protocol.process import Stop
-from qdgrasp_worker.runtime.background_requests import (
+from qdgrasp_worker.runtime.background_tasks import (
     BackgroundRequests,
+    BuildEnded,
+    BuilderClient,
     JoinAnswered,
-    RequestAnswered,
     SceneAnswered,
-    SceneCache,
     SceneStore,
 )
-from qdgrasp_worker.runtime.builder_client import BuildEnded, BuilderClient
 from qdgrasp_worker.runtime.job_registry import JobRegistry, JobSession, jitter
 from qdgrasp_worker.runtime.simulator_messages import BatchProgress
 from qdgrasp_worker.runtime.simulator_supervisor import (
@@ -49,22 +48,8 @@ from qdgrasp_worker.runtime.simulator_supervisor import (
 log = structlog.get_logger()
 
 HEARTBEAT_INTERVAL = 1.0  # Seconds between two heartbeats
+MAX_SCENES = 8  # Scenes kept in memory; the oldest is dropped first, and requested again if needed
 HAND_BACK_SECONDS = 0.5  # The last seconds of a grace, in which a batch that was not finished is handed back
-
-
-@dataclass(frozen=True)
-class CoordinatorSeen:
-    """A coordinator's token appeared or vanished."""
-
-    key: str
-    is_alive: bool
-
-
-@dataclass(frozen=True)
-class LinkChanged:
-    """A transport of this session came up or went down."""
-
-    is_up: bool
 
 
 @dataclass(frozen=True)
@@ -72,23 +57,33 @@ class StopRequested:
     """The process is asked to stop."""
 
 
-Event = Sample | CoordinatorSeen | LinkChanged | StopRequested | RequestAnswered | SimulatorEvent | BuildEnded
+Event = (
+    Sample
+    | TokenChange
+    | LinkChange
+    | StopRequested
+    | JoinAnswered
+    | SceneAnswered
+    | SimulatorEvent
+    | BuildEnded
+)
 Inbox: TypeAlias = "SimpleQueue[Event]"
 
 
 class GracefulShutdown:
     """Decides when a worker that is asked to stop ends. Pure: time is passed in.
 
-    It ends at once, or when the batch in work is done if that fits into `grace` seconds.
+    It ends at once, or when the batch in work is done if that fits into `grace` seconds, and the jobs know
+    which batches are handed back.
     """
 
     def __init__(self, grace: float) -> None:
         self._grace = grace
-        self._finish_by = inf
-        self._end_by = inf
-        self._awaited: set[str] = set()
+        self._finish_by = self._end_by = inf
         self.last_batch: BatchProgress | None = None
         """The batch that is to be finished before."""
+        self.uninformed: set[str] = set()
+        """The jobs that do not know yet which batches are handed back."""
 
     @property
     def has_begun(self) -> bool:
@@ -115,22 +110,9 @@ class GracefulShutdown:
         """Return whether the last batch has to be handed back now."""
         return self.last_batch is not None and now >= self._finish_by
 
-    def on_released(self, task: BatchProgress) -> None:
-        """Note that a batch is finished, or handed back."""
-        if task is self.last_batch:
-            self.last_batch = None
-
-    def await_job(self, job: str) -> None:
-        """Wait until a job knows which batches are handed back."""
-        self._awaited.add(job)
-
-    def on_job_told(self, job: str) -> None:
-        """Note that a job knows, or cannot know, which batches are handed back."""
-        self._awaited.discard(job)
-
     def is_over(self, now: float) -> bool:
         """Return whether it is time to end."""
-        return now >= self._end_by or (self.has_begun and self.last_batch is None and not self._awaited)
+        return now >= self._end_by or (self.has_begun and self.last_batch is None and not self.uninformed)
 
 
 class WorkerService:
@@ -156,16 +138,29 @@ class WorkerService:
         builds: str = "",
         nice: int = 0,
     ) -> None:
-        key = secrets.token_bytes(32)
-        self._key = key
-        self.wid = worker_id(key)
+        self._key = secrets.token_bytes(32)
+        self.wid = worker_id(self._key)
         self._bus = bus
         self._stop = stop
         self._simulator = simulator
         self._inbox = inbox
-        requests = BackgroundRequests(bus, store, inbox.put)
-        self._jobs = JobRegistry(bus, requests, self.wid, job, rows, builds, key=key)
-        self._scenes = SceneCache(requests)
+        self._requests = BackgroundRequests(bus, store, inbox.put)
+        join = Join(
+            versions=[VERSION],
+            wid=self.wid,
+            key=self._key,
+            number=0,
+            credit=0,
+            rows=rows,
+            builds=builds,
+            held=[],
+            host=socket.gethostname(),
+            pid=os.getpid(),
+            platform={},
+        )
+        self._jobs = JobRegistry(bus, self._requests, join, job)
+        self._scenes: dict[str, bytes] = {}  # Bundles that the simulator has not taken yet, by digest
+        self._requested: set[str] = set()  # Digests of scenes that are fetched now
         self._builder = BuilderClient(bus, inbox.put, nice)
         self._keys = Keys(job) if job else AnyJob()
         self._shutdown = GracefulShutdown(grace)
@@ -187,14 +182,17 @@ class WorkerService:
             stack.callback(self._builder.stop)
             stack.enter_context(self._bus.subscribe(self._keys.work(self.wid), put))
             stack.enter_context(self._bus.subscribe(self._keys.ctl(self.wid), put))
-            stack.enter_context(self._bus.on_link(lambda up: put(LinkChanged(up))))
+            stack.enter_context(self._bus.on_link(lambda up: put(LinkChange(up))))
             token = self._keys.coordinator_token()
-            stack.enter_context(self._bus.watch(token, lambda key, alive: put(CoordinatorSeen(key, alive))))
+            stack.enter_context(self._bus.watch(token, lambda key, alive: put(TokenChange(key, alive))))
             while not self._shutdown.is_over(time.monotonic()):
                 self._receive(self._wait_seconds(time.monotonic()))
                 self._step(time.monotonic())
 
     def _step(self, now: float) -> None:
+        if now >= self._heartbeat_at:
+            self._heartbeat_at = now + HEARTBEAT_INTERVAL
+            self._send_heartbeat(has_run=self._simulator.on_heartbeat())
         self._simulator.step(now)
         self._submit_batches(now)
         self._begin_build()
@@ -206,20 +204,14 @@ class WorkerService:
         self._jobs.end_abandoned(now)
         if self._jobs.leave_drained():
             self._shutdown.stop_now()
-        if now >= self._heartbeat_at:
-            self._heartbeat_at = now + HEARTBEAT_INTERVAL
-            self._send_heartbeat()
 
-    def _wait_seconds(self, now: float) -> float | None:
-        """Seconds to wait for the inbox; None: for ever."""
+    def _wait_seconds(self, now: float) -> float:
+        """Seconds to wait for the inbox."""
         join_at = inf if self._simulator.platform is None else self._jobs.next_join
-        heartbeat_at = self._heartbeat_at if self._jobs else inf
-        first = min(
-            join_at, self._jobs.next_end, self._shutdown.deadline, self._simulator.next_step, heartbeat_at
-        )
-        return None if first == inf else max(0.0, first - now)
+        others = self._jobs.next_end, self._shutdown.deadline, self._simulator.restart_at
+        return max(0.0, min(self._heartbeat_at, join_at, *others) - now)
 
-    def _receive(self, seconds: float | None) -> None:
+    def _receive(self, seconds: float) -> None:
         try:
             self._take(self._inbox.get(timeout=seconds), time.monotonic())
             while True:
@@ -243,9 +235,9 @@ class WorkerService:
                 self._answer_build(event)
             case JoinAnswered():
                 self._take_answer(event, now)
-            case CoordinatorSeen(key, is_alive):
+            case TokenChange(key, is_alive):
                 self._jobs.on_coordinator(key, is_alive, now)
-            case LinkChanged(is_up) if is_up:
+            case LinkChange(is_up) if is_up:
                 self._jobs.on_link_up(now)
             case StopRequested():
                 self._begin_shutdown(now)
@@ -269,13 +261,16 @@ class WorkerService:
             self._read(sample)
         session = self._jobs.get(answered.job)
         if session is None or not session.credit:
-            self._shutdown.on_job_told(answered.job)
+            self._shutdown.uninformed.discard(answered.job)
 
     def _take_scene(self, answered: SceneAnswered, now: float) -> None:
         """Take a scene; without one, its batches are handed back, or fail if no one can have it."""
-        self._scenes.on_answer(answered)
         reason, job, scene = answered.bundle, answered.job, answered.scene
+        self._requested.discard(scene)
         if isinstance(reason, bytes):
+            self._scenes[scene] = reason
+            if len(self._scenes) > MAX_SCENES:
+                del self._scenes[next(iter(self._scenes))]
             return
         log.warning("a scene cannot be had", job=job, scene=scene[:12], reason=str(reason))
         tasks = []
@@ -283,7 +278,7 @@ class WorkerService:
             self._simulator.drop(task)
             tasks.append(task)
         session = self._jobs.get(job)
-        waiting = session.waiting if session else []
+        waiting = session.waiting(Work) if session else []
         for task in tasks + [BatchProgress(job, work) for work in waiting if work.scene == scene]:
             if isinstance(reason, TooLarge):
                 task.fail_all(str(reason))
@@ -324,8 +319,8 @@ class WorkerService:
         if self._builder.build is not None or self._shutdown.has_begun:
             return
         for session in self._jobs:
-            if session.builds:
-                self._builder.start(session.job, session.begin_build())
+            if session.waiting(Build):
+                self._builder.start(session.job, session.begin(Build))
                 return
 
     def _answer_build(self, ended: BuildEnded) -> None:
@@ -346,16 +341,20 @@ class WorkerService:
             self._simulator.drop(task)
             self._release(task)
         session = None if self._shutdown.has_begun else self._jobs.next_session(self._is_servable)
-        return None if session is None else BatchProgress(session.job, session.begin())
+        return None if session is None else BatchProgress(session.job, session.begin(Work))
 
     def _is_servable(self, session: JobSession) -> bool:
-        waiting = session.waiting
+        waiting = session.waiting(Work)
         return bool(waiting) and self._has_scene(session.job, waiting[0].scene)
 
     def _has_scene(self, job: str, scene: str) -> bool:
         """Return whether a batch of a scene can be submitted; a scene that is not here is requested."""
-        known = self._simulator.has_scene(scene) or self._simulator.is_fatal(scene)
-        return known or self._scenes.has_or_request(job, scene)
+        if self._simulator.has_scene(scene) or self._simulator.is_fatal(scene) or scene in self._scenes:
+            return True
+        if scene not in self._requested:
+            self._requested.add(scene)
+            self._requests.fetch(job, scene)
+        return False
 
     def _is_wanted(self, task: BatchProgress) -> bool:
         session = self._jobs.get(task.job)
@@ -382,16 +381,17 @@ class WorkerService:
             if session.has_coordinator and session.held:
                 session.hand_back(keep=last.work.batch if last else None)
                 session.join_soon(now)
-                self._shutdown.await_job(session.job)
+                self._shutdown.uninformed.add(session.job)
 
     def _release(self, task: BatchProgress) -> None:
-        self._shutdown.on_released(task)
+        if task is self._shutdown.last_batch:
+            self._shutdown.last_batch = None
         if (session := self._jobs.get(task.job)) is not None:
             session.release(task.work.batch)
 
-    def _send_heartbeat(self) -> None:
+    def _send_heartbeat(self, *, has_run: bool) -> None:
         """Publish memory and progress of this worker: progress keeps its lease from passing."""
-        head, has_run = self._simulator.head, self._simulator.measure()
+        head = self._simulator.head
         heartbeat = Heartbeat(
             wid=self.wid,
             host=shorten(socket.gethostname()),

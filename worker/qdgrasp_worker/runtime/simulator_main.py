@@ -1,15 +1,15 @@
 """The simulator's process: evaluates its worker's batches, and may crash.
 
 It holds the physics engines and no session on the bus. Started as `python -m
-qdgrasp_worker.runtime.simulator_main`, with name and worlds of a device where there is one, and the socket to
+qdgrasp_worker.runtime.simulator_main`, with name and worlds of a device where there is one, and the pipe to
 its worker as standard input; all prints go to standard error.
 """
 
-import socket
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
+from multiprocessing.connection import Connection
 from typing import TypeVar
 
 from setproctitle import setproctitle
@@ -26,7 +26,7 @@ from qdgrasp_worker.platform import platform
 from qdgrasp_worker.runtime.simulator_messages import (
     BatchRejected,
     EvaluateRows,
-    FramedSocket,
+    MessageConnection,
     PartialResult,
     SceneLoaded,
     SceneMissing,
@@ -49,8 +49,8 @@ class SimulatorMain:
     `row_seconds` are the CPU seconds that a slice of rows, or loading a scene, may take.
     """
 
-    def __init__(self, connection: FramedSocket, row_seconds: float, load: LoadEvaluator) -> None:
-        self._socket = connection
+    def __init__(self, connection: MessageConnection, row_seconds: float, load: LoadEvaluator) -> None:
+        self._pipe = connection
         self._row_seconds = row_seconds
         self._load = load
         self._evaluators = EvaluatorCache()
@@ -58,12 +58,12 @@ class SimulatorMain:
     def evaluate(self, request: EvaluateRows) -> None:
         """Evaluate rows, and send their results."""
         if request.bundle is None and request.scene not in self._evaluators:
-            self._socket.send(SceneMissing())
+            self._pipe.send(SceneMissing())
             return
         try:
             self._evaluate_slices(self._evaluator(request), request)
         except (InputError, MessageError) as error:
-            self._socket.send(BatchRejected(reason=str(error)))
+            self._pipe.send(BatchRejected(reason=str(error)))
 
     def _evaluator(self, request: EvaluateRows) -> BatchEvaluator:
         def load() -> BatchEvaluator:
@@ -78,7 +78,7 @@ class SimulatorMain:
             self._evaluators.close()  # memory may have been short, which engines report in other words
             evaluator = self._evaluators.get(request.scene, load)
         if request.bundle is not None:
-            self._socket.send(SceneLoaded())
+            self._pipe.send(SceneLoaded())
         return evaluator
 
     def _evaluate_slices(self, evaluator: BatchEvaluator, request: EvaluateRows) -> None:
@@ -88,7 +88,9 @@ class SimulatorMain:
         rows = unpack(shape.empty(request.n), WORK_COLUMNS, request.columns)
         failures: list[Failure] = []
         sent, sent_at, began = 0, time.monotonic(), time.process_time()
-        for piece in slices(request.n, 1 if request.is_careful else evaluator.at_once):
+        most = 1 if request.is_careful else evaluator.at_once
+        for start in range(0, request.n, most):
+            piece = slice(start, min(start + most, request.n))
             with process_limits.time_limit(self._row_seconds):
                 found = evaluator.evaluate(request.prior, rows["genome"][piece], rows["trial"][piece])
             for column in RESULT:
@@ -107,14 +109,8 @@ class SimulatorMain:
                     failures=failures,
                     cpu_seconds=ended - began,
                 )
-                self._socket.send(result)
+                self._pipe.send(result)
                 failures, sent, sent_at, began = [], piece.stop, now, ended
-
-
-def slices(n: int, most: int) -> Iterator[slice]:
-    """Cut n rows into pieces of at most `most`."""
-    for start in range(0, n, most):
-        yield slice(start, min(start + most, n))
 
 
 def load_scene(bundle: bytes, device: Device | None = None) -> BatchEvaluator:
@@ -123,8 +119,8 @@ def load_scene(bundle: bytes, device: Device | None = None) -> BatchEvaluator:
     return make_evaluator(unpack_scene(bundle), device)
 
 
-def serve(connection: FramedSocket, load: LoadEvaluator, probe: ProbePlatform) -> None:
-    """Evaluate the probes, and then the batches that come, until the socket is closed."""
+def serve(connection: MessageConnection, load: LoadEvaluator, probe: ProbePlatform) -> None:
+    """Evaluate the probes, and then the batches that come, until the pipe is closed."""
     settings = _receive(connection, SimulatorSettings)
     if settings is None:
         return
@@ -142,7 +138,7 @@ def main(load: LoadEvaluator = load_scene, probe: ProbePlatform = platform) -> N
     """Entry point of the simulator."""
     process_limits.end_with_parent_only()
     setproctitle("qdgrasp-simulator")
-    connection = FramedSocket(socket.socket(fileno=sys.stdin.fileno()))
+    connection = MessageConnection(Connection(sys.stdin.fileno()))
     try:
         serve(connection, load, probe)
     except (BrokenPipeError, ConnectionResetError):
@@ -152,7 +148,7 @@ def main(load: LoadEvaluator = load_scene, probe: ProbePlatform = platform) -> N
         sys.exit(1)
 
 
-def _receive(connection: FramedSocket, kind: type[M]) -> M | None:
+def _receive(connection: MessageConnection, kind: type[M]) -> M | None:
     message = connection.receive()
     if not (message is None or isinstance(message, kind)):
         raise MessageError(f"expected {kind.__name__}, got {type(message).__name__}")

@@ -1,14 +1,12 @@
-"""Messages between a worker and its simulator, and the socket that carries them.
+"""Messages between a worker and its simulator, and the pipe that carries them.
 
-Frozen structs in MessagePack, each behind its length, over a pair of sockets. Answers come in the order of
-the questions, so that neither carries a number. `BatchProgress` gathers the answers to one batch; it is pure:
-time is passed in, in seconds of any steady clock.
+Frozen structs in MessagePack. Answers come in the order of the questions, so that neither carries a number.
+`BatchProgress` gathers the answers to one batch; it is pure: time is passed in, in seconds of any steady
+clock.
 """
 
-import socket
-import struct
-from contextlib import suppress
 from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 from typing import TypeAlias
 
 import msgspec
@@ -17,8 +15,7 @@ from msgspec import Struct
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import Failure, Result, Work, deflated, shorten
 
-LENGTH_HEADER = struct.Struct("<I")
-MAX_FRAME_SIZE = 1 << 30  # The longest frame [bytes]; a greater length is an error
+MAX_FRAME_SIZE = 1 << 30  # The longest message [bytes]; a greater length is an error
 
 
 class SimulatorMessage(Struct, frozen=True, kw_only=True, tag=True, forbid_unknown_fields=True):
@@ -106,45 +103,28 @@ _ENCODER = msgspec.msgpack.Encoder()
 _DECODER: msgspec.msgpack.Decoder[AnySimulatorMessage] = msgspec.msgpack.Decoder(AnySimulatorMessage)
 
 
-class FramedSocket:
-    """One end of a stream socket, whose messages follow their lengths."""
+class MessageConnection:
+    """One end of a pipe for these messages."""
 
-    def __init__(self, end: socket.socket) -> None:
+    def __init__(self, end: "Connection[bytes, bytes]") -> None:
         self._end = end
 
     def send(self, message: SimulatorMessage) -> None:
         """Send a message, waiting while the other side is behind; an OSError if that is closed."""
-        frame = _ENCODER.encode(message)
-        self._end.sendall(LENGTH_HEADER.pack(len(frame)))
-        self._end.sendall(frame)
+        self._end.send_bytes(_ENCODER.encode(message))
 
     def receive(self) -> AnySimulatorMessage | None:
-        """The next message; None where the socket is closed, a MessageError if it is not one."""
-        head = self._read(LENGTH_HEADER.size)
-        if head is None:
-            return None
-        (length,) = LENGTH_HEADER.unpack(head)
-        if length > MAX_FRAME_SIZE:
-            raise MessageError(f"a frame of {length} bytes, and at most {MAX_FRAME_SIZE} are read")
-        frame = self._read(length)
+        """The next message; None where the other side is closed, a MessageError if it is not one."""
         try:
-            return None if frame is None else _DECODER.decode(frame)
-        except msgspec.MsgspecError as error:
-            raise MessageError(f"not a frame: {str(error)!a}") from None
+            return _DECODER.decode(self._end.recv_bytes(MAX_FRAME_SIZE))
+        except (EOFError, ConnectionResetError):
+            return None
+        except (OSError, msgspec.MsgspecError) as error:
+            raise MessageError(f"not a message: {str(error)!a}") from None
 
     def close(self) -> None:
-        """Close the socket, for both sides; closing twice is allowed."""
-        with suppress(OSError):
-            self._end.shutdown(socket.SHUT_RDWR)
+        """Close this end; closing twice is allowed."""
         self._end.close()
-
-    def _read(self, length: int) -> bytes | None:
-        buffer = bytearray(length)
-        view, have = memoryview(buffer), 0
-        with suppress(OSError):
-            while have < length and (came := self._end.recv_into(view[have:])):
-                have += came
-        return bytes(buffer) if have == length else None
 
 
 @dataclass(eq=False)

@@ -1,12 +1,10 @@
 """Supervision of the simulator's process: batches sent to it, stalls, crashes and restarts.
 
-A stall is counted in slices of time: while the simulator or its worker was stopped (SIGSTOP), the simulator
-is not at fault, and a slice that took longer, because no check was made, counts as one. Time is passed in, in
-seconds of any steady clock.
+A stall is counted in heartbeats of the worker: while the simulator or its worker stood still (SIGSTOP), the
+simulator is not at fault. Time is passed in, in seconds of any steady clock.
 """
 
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -14,6 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
+from multiprocessing import Pipe
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Self
@@ -36,7 +35,7 @@ from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
     BatchProgress,
     BatchRejected,
-    FramedSocket,
+    MessageConnection,
     PartialResult,
     SceneLoaded,
     SceneMissing,
@@ -45,33 +44,6 @@ from qdgrasp_worker.runtime.simulator_messages import (
     SimulatorReady,
     SimulatorSettings,
 )
-
-CHECK_SLICE = 1.0  # Seconds between two checks of a simulator that is at work
-
-
-class StallDetector:
-    """Counter of the silence of a simulator."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-        """Seconds of silence."""
-        self._checked_at: float | None = None
-
-    def restart(self, now: float) -> None:
-        """Count from zero: the simulator sent something, or was given something to do."""
-        self.seconds, self._checked_at = 0.0, now
-
-    @property
-    def next_check(self) -> float:
-        """The time of the next check."""
-        return 0.0 if self._checked_at is None else self._checked_at + CHECK_SLICE
-
-    def check(self, now: float, *, is_stopped: bool) -> None:
-        """Count the time since the last check, at most a slice; nothing if the simulator is stopped."""
-        before, self._checked_at = self._checked_at, now
-        if not (before is None or is_stopped):
-            self.seconds += min(now - before, CHECK_SLICE)
-
 
 STANDARD_ERROR = 2
 OUTSIDE_SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -107,13 +79,13 @@ class SimulatorClient:
     def __init__(
         self, command: Sequence[str], settings: SimulatorMessage, report: Callable[[SimulatorEvent], None]
     ) -> None:
-        ours, its = socket.socketpair()
+        ours, its = Pipe()
         with its:
             self._process = subprocess.Popen(
                 command, stdin=its.fileno(), stdout=STANDARD_ERROR, start_new_session=True
             )
         self.pid = self._process.pid
-        self._socket = FramedSocket(ours)
+        self._pipe = MessageConnection(ours)
         self._report = report
         self._outbox: SimpleQueue[SimulatorMessage | None] = SimpleQueue()
         self.send(settings)
@@ -141,7 +113,7 @@ class SimulatorClient:
 
     def _read(self) -> None:
         try:
-            while (message := self._socket.receive()) is not None:
+            while (message := self._pipe.receive()) is not None:
                 self._report(SimulatorSaid(self, message))
         except MessageError:  # its memory is damaged
             self._process.kill()
@@ -151,10 +123,10 @@ class SimulatorClient:
     def _write(self) -> None:
         while (message := self._outbox.get()) is not None:
             try:
-                self._socket.send(message)
+                self._pipe.send(message)
             except OSError:  # it ended; the reading thread reports that
                 break
-        self._socket.close()
+        self._pipe.close()
 
 
 def crash_reason(code: int, row_seconds: float) -> str | None:
@@ -227,7 +199,7 @@ class SimulatorSupervisor:
         self._scenes: set[str] = set()
         self._load_crashes: Counter[str] = Counter()
         self._restarts = RestartPolicy()
-        self._stall = StallDetector()
+        self._silence = 0  # Heartbeats without a message, while the simulator is at work
         self._is_retiring = False
         self._raised = ""  # The error that the simulator raised; empty: none
         self._stats = NO_STATS
@@ -293,7 +265,7 @@ class SimulatorSupervisor:
     def submit(self, task: BatchProgress, bundle: bytes | None, now: float) -> None:
         """Let the simulator evaluate a batch, with its scene unless it has that."""
         if self.head is None:
-            self._stall.restart(now)
+            self._silence = 0
         self._simulator.send(task.request(bundle))
         if task is self.next_requeued:
             self._requeued.popleft()
@@ -319,7 +291,7 @@ class SimulatorSupervisor:
         return self._on_end(event, now)
 
     def _on_message(self, message: AnySimulatorMessage, now: float) -> list[BatchProgress]:
-        self._stall.restart(now)
+        self._silence = 0
         match message:
             case SimulatorReady(platform=platform):
                 if self.platform is not None and platform != self.platform:
@@ -382,34 +354,30 @@ class SimulatorSupervisor:
         self._requeued.extendleft(reversed(sent))
         return done
 
-    @property
-    def next_step(self) -> float:
-        """The time at which `step` has something to do if no event comes before; infinite: never."""
-        is_at_work = self.restart_at == inf and not (self.is_ready and self.head is None)
-        return min(self.restart_at, self._stall.next_check if is_at_work else inf)
-
     def step(self, now: float) -> None:
-        """Start the next simulator when it is time; end one that is silent or takes too much memory."""
+        """Start the next simulator when it is time, or when this one took too much memory."""
         if now >= self.restart_at:
-            self.restart_at = inf
+            self.restart_at, self._silence = inf, 0
             self.restarts += 1
             self._simulator = self._start()
         elif self._is_retiring and self.head is None:
             self._simulator.close()
             self._forget_simulator(now)
-        elif now >= self.next_step:
-            self._stall.check(now, is_stopped=self._simulator.stats.is_stopped)
-            limit = STALL_FACTOR * (self._row_seconds if self.is_ready else PROBE_SECONDS)
-            if self._stall.seconds > limit:
-                self._stall.restart(now)
-                self._simulator.end_stalled()
 
-    def measure(self) -> bool:
-        """Measure the simulator's processor time and memory; True if it ran since the last time."""
+    def on_heartbeat(self) -> bool:
+        """Look at the simulator, once a second; True if it ran since the last time.
+
+        One that is silent at its work for too long is ended, one with too much memory is replaced.
+        """
         before, self._stats = self._stats, self._simulator.stats
         if self._stats.memory > self._memory and not self._is_retiring:
             self._is_retiring = True
             log.warning("the simulator takes too much memory and is replaced", bytes=self._stats.memory)
+        if (self.head is not None or not self.is_ready) and not self._stats.is_stopped:
+            self._silence += 1
+        if self._silence > STALL_FACTOR * (self._row_seconds if self.is_ready else PROBE_SECONDS):
+            self._silence = 0
+            self._simulator.end_stalled()
         return self._stats.cpu_seconds != before.cpu_seconds
 
     @property
@@ -421,5 +389,5 @@ class SimulatorSupervisor:
         self.is_ready = self._is_retiring = False
         self.restart_at = restart_at
         self._raised = ""
-        self._stall = StallDetector()
+        self._silence = 0
         self._scenes.clear()

@@ -1,16 +1,51 @@
-"""Which hands cannot come to their pose: below a table, or through the object; in every engine."""
+"""Poses that are not simulated: hands that surely overlap, and that cannot come to their pose."""
 
 import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.worker.genomes import draw, evaluated, outcomes, results
+from tests.worker.genomes import decoded, draw, evaluated, outcomes, results
 from tests.worker.test_physical_episode import ABOVE, SIDE, physical
 
+from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.mesh import Mesh, parts_to_obj
 from qdgrasp_assets.geometry.primitives import box
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import GIVEN, Outcome
+from qdgrasp_worker.candidate_ranking import OverlapFilter
+from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
+from qdgrasp_worker.episode import ShakenEpisode
+from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
+from qdgrasp_worker.object_geometry import ObjectSolid
+
+OVERLAPPING = [("panda", "mug", "paper"), ("barrett", "rubiks_cube", "paper"), ("allegro", "mug", "released")]
+
+
+def tools(scene, prior, n, seed):
+    """The grasps of n random genomes, the filter, and an episode in a world of its own."""
+    protocol = PROTOCOLS[scene.protocol]
+    grasps = decoded(scene, prior, draw(n, len(layout(scene, prior)), seed))
+    overlap = OverlapFilter(scene.gripper, ObjectSolid(scene), follows_free_joints=protocol.free_joints_first)
+    return grasps, overlap, ShakenEpisode(BulletShakenWorld(scene), protocol)
+
+
+def compare(scene, prior, n, seed):
+    """The random poses that Bullet rejects, and that the filter rejects: (n,) each."""
+    grasps, overlap, episode = tools(scene, prior, n, seed)
+    rejected = np.isin(np.arange(n), overlap(grasps, np.arange(n)))
+    overlapping = np.array([episode.overlaps(TrialSetup(grasps[i])) for i in range(n)])
+    episode.world.close()
+    return overlapping, rejected
+
+
+@pytest.mark.parametrize("scene", OVERLAPPING, ids="-".join)
+def test_what_the_filter_rejects_overlaps_in_bullet_and_it_finds_most(scene, make_scene):
+    for prior in ("contact", "approach"):
+        overlapping, rejected = compare(make_scene(*scene), prior, 1200, seed=1)
+        assert not (rejected & ~overlapping).any()
+        assert overlapping.sum() > 100
+        assert rejected.sum() > overlapping.sum() / 2
+
 
 ENGINES = [None, "mujoco"]
 

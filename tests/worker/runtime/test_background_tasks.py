@@ -1,6 +1,7 @@
-"""A worker builds shapes in a process of its own, from files that it fetches, and may be stopped."""
+"""Shapes that a worker builds in a process of its own, from files that it fetches; scenes on disk."""
 
 import hashlib
+import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -9,7 +10,9 @@ from queue import SimpleQueue
 import pytest
 import trimesh
 from tests.common import PATIENCE, wait_for
+from tests.fakes.coordinator import LeasingCoordinator
 
+from qdgrasp_assets.asset_paths import UNFINISHED
 from qdgrasp_assets.code_version import building_code
 from qdgrasp_assets.object_shape import ShapeStore, unpack_shape
 from qdgrasp_protocol import bundle_transfer
@@ -18,10 +21,11 @@ from qdgrasp_protocol.bus import Query
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.memory_bus import MemoryNetwork
-from qdgrasp_worker.runtime import builder_client
-from qdgrasp_worker.runtime.builder_client import BuildEnded, BuilderClient
+from qdgrasp_worker.runtime import background_tasks
+from qdgrasp_worker.runtime.background_tasks import BuildEnded, BuilderClient, SceneStore
 
 JOB = "job"
+SCENE = b"a scene"
 
 
 @pytest.fixture(autouse=True)
@@ -100,7 +104,7 @@ def test_a_mesh_that_cannot_be_used_is_final(tmp_path: Path) -> None:
 
 
 def test_a_builder_that_is_killed_ends_its_build_with_the_signal(mesh, monkeypatch) -> None:
-    monkeypatch.setattr(builder_client, "BUILDER", ["sh", "-c", "kill -9 $$"])
+    monkeypatch.setattr(background_tasks, "BUILDER", ["sh", "-c", "kill -9 $$"])
     with serving(mesh) as (client, news):
         client.start(JOB, build_of(mesh))
         ended = news.get(timeout=PATIENCE)
@@ -109,7 +113,7 @@ def test_a_builder_that_is_killed_ends_its_build_with_the_signal(mesh, monkeypat
 
 def test_stopping_ends_the_process(mesh: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     mark = tmp_path / "mark"
-    monkeypatch.setattr(builder_client, "BUILDER", ["sh", "-c", f"echo $$ > {mark}; exec sleep 1000"])
+    monkeypatch.setattr(background_tasks, "BUILDER", ["sh", "-c", f"echo $$ > {mark}; exec sleep 1000"])
     with serving(mesh) as (client, news):
         client.start(JOB, build_of(mesh))
         wait_for(lambda: mark.is_file() and mark.read_text())
@@ -117,3 +121,27 @@ def test_stopping_ends_the_process(mesh: Path, monkeypatch: pytest.MonkeyPatch, 
         ended = news.get(timeout=PATIENCE)
         assert not client.on_ended(ended)
     assert ended.reason == "it was ended by SIGKILL"
+
+
+def scene(folder: Path, payload: bytes, used: int) -> str:
+    """Have a scene on disk that was used then [ns]; gives its digest."""
+    digest = hashlib.sha256(payload).hexdigest()
+    (folder / digest).write_bytes(payload)
+    os.utime(folder / digest, ns=(used, used))
+    return digest
+
+
+def test_scenes_that_were_used_long_ago_make_room_for_others(tmp_path, monkeypatch):
+    monkeypatch.setattr(background_tasks, "MAX_STORE_SIZE", 3 * len(SCENE))
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    used = ((b"1", 1), (b"2", 2), (b"3", 0))
+    _, recent, reused = (scene(folder, SCENE[:6] + end, when) for end, when in used)
+    abandoned = folder / f"{UNFINISHED}of a worker that was killed"
+    abandoned.mkdir()
+    os.utime(abandoned, (0, 0))
+    cache = SceneStore(folder)
+    with LeasingCoordinator(MemoryNetwork(), scene=SCENE) as office:
+        cache.bundle(office.bus, JOB, reused)
+        cache.bundle(office.bus, JOB, office.digest)
+        assert {path.name for path in folder.iterdir()} == {recent, reused, office.digest}
