@@ -5,7 +5,7 @@ clock, bus or thread: time is passed in, in seconds since 1970, and queries that
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 from msgspec import Struct, structs
@@ -87,6 +87,9 @@ class SeriesBuilder:
 OVER = ("gone", "ended", "cancelled")  # The states of a job without a coordinator
 
 
+WORKER_STATES = ("gone", "stuck", "leaving", "working", "idle")  # Those in trouble first
+
+
 class JobView(Struct, frozen=True, kw_only=True):
     """Everything known of a job now, and how it came about."""
 
@@ -101,14 +104,9 @@ class JobView(Struct, frozen=True, kw_only=True):
     meta: JobMeta
     figures: JobStatus
     runs: list[RunStatus]  # Runs in progress, and those that ended during the watch; by their first messages
-    workers: list[WorkerStatus]  # Each once: on its way to another page one may stand on both
+    workers: list[WorkerStatus]  # Each once, those in trouble first: see `WORKER_STATES`
     events: list[JobEvent]  # The latest, eldest first
     history: Series  # Figures of the job during the watch
-
-    def foremost(self, most: int) -> list[RunStatus]:
-        """Return so many of its runs, in order; first left out are finished, then elder ones."""
-        by_rank = sorted(range(len(self.runs)), key=lambda number: (not self.runs[number].finished, number))
-        return [self.runs[number] for number in sorted(by_rank[-most:])]
 
 
 def end_state(figures: JobStatus | None) -> str:
@@ -127,7 +125,8 @@ COUNTS = frozenset({*TOTAL_NAMES, "rows", "outcomes"})
 SILENCE_SECONDS = 5.0  # seconds without a message until a coordinator is silent; it publishes twice a second
 LATE_MESSAGE_SECONDS = 1.0  # seconds by which a message may come after the end of its coordinator's token
 RETRY_SECONDS = 5.0  # seconds until a query without an answer is repeated
-MOST_RUNS = 512  # The most runs kept of a job: those in progress first, then those with the latest messages
+MOST_RUNS = 256  # The most runs kept of a job: those in progress first, then those with the latest messages
+MOST_WORKERS = 512  # The most workers of a job that are shown, those in trouble first; all are counted
 MAX_JOBS = 64  # The most jobs that are kept: those with the latest messages
 ALL_KEYS = ""  # Stands for all jobs
 
@@ -267,6 +266,11 @@ class JobModel:
         """True once enough is known to show it."""
         return self.meta is not None and self.figures is not None
 
+    @property
+    def _workers(self) -> Iterable[WorkerStatus]:
+        """Each worker once: on its way to another page one may stand on both."""
+        return {each.wid: each for page in self._pages.values() for each in page}.values()
+
     def state(self, now: float, *, is_linked: bool = True) -> str:
         """Return the state of the job as `JobView` names it."""
         if self.figures and self._gone_at is None and now - self.received_at <= SILENCE_SECONDS:
@@ -288,10 +292,14 @@ class JobModel:
             meta=self.meta,
             figures=self.figures,
             runs=list(self._runs.values()),
-            workers=list({each.wid: each for page in self._pages.values() for each in page}.values()),
+            workers=sorted(self._workers, key=lambda each: (_rank(each), each.host, each.pid)),
             events=[self._events[key] for key in sorted(self._events)],
             history=self._history.series,
         )
+
+
+def _rank(worker: WorkerStatus) -> int:
+    return WORKER_STATES.index(worker.state) if worker.state in WORKER_STATES else 0
 
 
 class JobModels:

@@ -8,7 +8,7 @@ metric is the docstring of its figure (`metrics.job_status`).
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 from msgspec import Struct
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily
@@ -16,63 +16,67 @@ from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4, generate_late
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from qdgrasp_coordinator.metrics import job_status
-from qdgrasp_coordinator.metrics.job_status import JobMeta, JobStatus, RunStatus, WorkerStatus, meanings
-from qdgrasp_tools.monitor.job_model import OVER, JobView
+from qdgrasp_coordinator.metrics.job_status import (
+    JobEvent,
+    JobMeta,
+    JobStatus,
+    RunStatus,
+    WorkerStatus,
+    meanings,
+)
+from qdgrasp_tools.monitor.job_model import MOST_WORKERS, OVER, JobView
 
-MOST_RUNS = 256  # The most runs of a job with series: first those in progress, then the latest heard
-MOST_WORKERS = 512  # The most workers of a job with series, by their joins; `qdgrasp_workers` counts all
 INACTIVE_STATES = ("silent", *OVER)  # The states of a job without messages
 STATES = ("starting", "running", "paused", "ending", *INACTIVE_STATES)  # States of a job: see `JobView`
 RUN_LABELS = ("gripper", "object", "method", "protocol", "seed")  # Labels of `qdgrasp_run_info`
+COUNTER, GAUGE = CounterMetricFamily, GaugeMetricFamily
 
 Family: TypeAlias = type[CounterMetricFamily] | type[GaugeMetricFamily]
 Samples: TypeAlias = Iterable[tuple[Sequence[str], float]]  # Values of a metric's labels, and its own
+StateCounts: TypeAlias = Callable[[JobView], Iterable[tuple[str, float]]]
+MetricSpec: TypeAlias = tuple[str, Family, str, str]
+"""A figure that is a metric: its field, its family, its name where that is not the field's, and its unit."""
 
 
-class MetricSpec(NamedTuple):
-    """A figure that is a metric; `name` where it is not the field's."""
-
-    field: str
-    family: Family = CounterMetricFamily
-    name: str = ""
-    unit: str = ""
+def counters(*fields: str) -> tuple[MetricSpec, ...]:
+    """Return the specs of figures that only grow."""
+    return tuple((field, COUNTER, "", "") for field in fields)
 
 
-class MetricGroup(NamedTuple):
-    """The metrics of jobs, runs or workers, which are told apart by `labels`."""
-
-    name: str
-    labels: tuple[str, ...]
-    figures: type[Struct]
-    specs: tuple[MetricSpec, ...]
-
-    def metrics(self, found: Iterable[tuple[Sequence[str], Struct]]) -> Iterator[Metric]:
-        """Yield a metric for each spec, with a sample for each (label values, figures)."""
-        all_found, words = list(found), meanings(self.figures)
-        for spec in self.specs:
-            samples = [(labels, float(getattr(figures, spec.field))) for labels, figures in all_found]
-            name = f"{self.name}_{spec.name or spec.field}"
-            yield metric(spec.family, name, words[spec.field], self.labels, samples, spec.unit)
-
-
-def metric(
-    family: Family, name: str, words: str, labels: Sequence[str], samples: Samples, unit: str = ""
-) -> Metric:
-    """Return a metric with its samples; `name` lacks the common prefix."""
-    found = family(f"qdgrasp_{name}", words, labels=labels, unit=unit)
-    for values, value in samples:
-        found.add_metric(values, value)
-    return found
-
-
-COUNT_METRICS = (
-    *map(MetricSpec, ("evaluations", "trials", "simulated", "proposals", "overlaps", "dead_ends")),
-    *map(MetricSpec, ("successes", "grasps", "robust", "errors")),
-    MetricSpec("cells", GaugeMetricFamily),
-    MetricSpec("budget", GaugeMetricFamily, unit="evaluations"),
+COUNT_METRICS: tuple[MetricSpec, ...] = (
+    *counters("evaluations", "trials", "simulated", "proposals", "overlaps", "dead_ends"),
+    *counters("successes", "grasps", "robust", "errors"),
+    ("cells", GAUGE, "", ""),
+    ("budget", GAUGE, "", "evaluations"),
 )
 """Metrics of both jobs and runs."""
+JOB_METRICS: tuple[MetricSpec, ...] = (
+    *COUNT_METRICS,
+    ("remaining", GAUGE, "", "evaluations"),
+    ("scenes_seconds", COUNTER, "scenes_cpu_seconds", ""),
+)
+COORDINATED_METRICS: tuple[MetricSpec, ...] = (
+    ("requeued", COUNTER, "requeued_batches", ""),
+    ("doubled", COUNTER, "doubled_batches", ""),
+    ("strays", COUNTER, "stray_results", ""),
+    ("waiting", GAUGE, "", "rows"),
+    ("workers", GAUGE, "", ""),
+    ("wanted_workers", GAUGE, "", ""),
+    ("recorders", GAUGE, "", ""),
+)
+"""Metrics of a job while its coordinator publishes."""
+RUN_METRICS: tuple[MetricSpec, ...] = (
+    *counters("rows"),
+    ("durable", GAUGE, "", "rows"),
+    *COUNT_METRICS,
+)
+WORKER_METRICS: tuple[MetricSpec, ...] = (
+    *counters("rows"),
+    ("batches", GAUGE, "", ""),
+    ("memory", GAUGE, "", "bytes"),
+    ("seen", GAUGE, "silent", "seconds"),
+    ("restarts", COUNTER, "simulator_restarts", ""),
+)
 JOB_GAUGES: tuple[tuple[str, str, Callable[[JobView], float], str], ...] = (
     ("job_epoch", meanings(JobMeta)["epoch"], lambda view: view.meta.epoch, ""),
     ("job_start_time", meanings(JobMeta)["since"], lambda view: view.meta.since.timestamp(), "seconds"),
@@ -81,33 +85,26 @@ JOB_GAUGES: tuple[tuple[str, str, Callable[[JobView], float], str], ...] = (
      lambda view: bool(view.figures.obstacle), ""),
 )  # fmt: skip
 """Metrics of jobs that are no fields of their figures: name, help, value and unit."""
-JOB = MetricGroup("job", ("job",), JobStatus, (
-    *COUNT_METRICS,
-    MetricSpec("remaining", GaugeMetricFamily, unit="evaluations"),
-    MetricSpec("scenes_seconds", name="scenes_cpu_seconds"),
-))  # fmt: skip
-COORDINATED_JOB = MetricGroup("job", ("job",), JobStatus, (
-    MetricSpec("requeued", name="requeued_batches"),
-    MetricSpec("doubled", name="doubled_batches"),
-    MetricSpec("strays", name="stray_results"),
-    MetricSpec("waiting", GaugeMetricFamily, unit="rows"),
-    MetricSpec("workers", GaugeMetricFamily),
-    MetricSpec("wanted_workers", GaugeMetricFamily),
-    MetricSpec("recorders", GaugeMetricFamily),
-))  # fmt: skip
-"""Metrics of a job while its coordinator publishes."""
-RUN = MetricGroup("run", ("job", "run"), RunStatus, (
-    MetricSpec("rows"),
-    MetricSpec("durable", GaugeMetricFamily, unit="rows"),
-    *COUNT_METRICS,
-))  # fmt: skip
-WORKER = MetricGroup("worker", ("job", "worker", "host"), WorkerStatus, (
-    MetricSpec("rows"),
-    MetricSpec("batches", GaugeMetricFamily),
-    MetricSpec("memory", GaugeMetricFamily, unit="bytes"),
-    MetricSpec("seen", GaugeMetricFamily, "silent", "seconds"),
-    MetricSpec("restarts", name="simulator_restarts"),
-))  # fmt: skip
+
+
+def metric(
+    family: Family, name: str, words: str, labels: Sequence[str], samples: Samples, unit: str = ""
+) -> Metric:
+    """Return a metric with its samples; `name` lacks the common prefix."""
+    found = family(f"qdgrasp_{name}", words, labels=labels, unit=unit)
+    for values, value in samples:
+        found.add_metric(values, float(value))
+    return found
+
+
+def figure_metrics(
+    of: str, labels: Sequence[str], specs: Iterable[MetricSpec], found: Sequence[tuple[Sequence[str], Struct]]
+) -> Iterator[Metric]:
+    """Yield a metric for each spec, with a sample for each (label values, figures)."""
+    for field, family, name, unit in specs if found else ():
+        samples = [(values, getattr(figures, field)) for values, figures in found]
+        words = meanings(type(found[0][1]))[field]
+        yield metric(family, f"{of}_{name or field}", words, labels, samples, unit)
 
 
 def exposition(views: Sequence[JobView]) -> tuple[bytes, str]:
@@ -121,59 +118,60 @@ class JobCollector(Collector):
     def __init__(self, views: Sequence[JobView]) -> None:
         self._views = views
         self._active = [view for view in views if view.state not in INACTIVE_STATES]
-        self._runs = [((view.job, run.run), run) for view in views for run in view.foremost(MOST_RUNS)]
 
     def collect(self) -> Iterator[Metric]:
         """Yield all metrics."""
-        yield from self._coordinators()
-        yield from self._states()
-        yield from JOB.metrics(((view.job,), view.figures) for view in self._views)
-        yield from COORDINATED_JOB.metrics(((view.job,), view.figures) for view in self._active)
-        yield from self._run_infos()
-        yield from RUN.metrics(self._runs)
-        yield from self._workers()
-
-    def _coordinators(self) -> Iterator[Metric]:
         info = InfoMetricFamily("qdgrasp_job", "Host and version of the job's coordinator.", labels=("job",))
         for view in self._views:
             info.add_metric((view.job,), {"host": view.meta.host, "version": view.meta.version})
         yield info
         for name, words, value, unit in JOB_GAUGES:
-            samples = [((view.job,), float(value(view))) for view in self._views]
-            yield metric(GaugeMetricFamily, name, words, ("job",), samples, unit)
+            samples = [((view.job,), value(view)) for view in self._views]
+            yield metric(GAUGE, name, words, ("job",), samples, unit)
+        yield from self._states()
+        for specs, views in ((JOB_METRICS, self._views), (COORDINATED_METRICS, self._active)):
+            yield from figure_metrics("job", ("job",), specs, [((view.job,), view.figures) for view in views])
+        yield from self._runs()
+        yield from self._workers()
 
     def _states(self) -> Iterator[Metric]:
-        views, gauge, labels = self._views, GaugeMetricFamily, ("job", "state")
-        states = [((view.job, state), float(view.state == state)) for view in views for state in STATES]
-        yield metric(gauge, "job_state", "How the job is: 1 for the state that holds.", labels, states)
-        runs = [((view.job, state), float(n)) for view in views for state, n in _run_states(view.figures)]
-        yield metric(gauge, "job_runs", "The job's runs by state.", labels, runs)
-        scenes = [((view.job, state), float(n)) for view in views for state, n in _scene_states(view.figures)]
-        yield metric(gauge, "job_scenes", "Shapes that the job needs, by state.", labels, scenes)
-        events = [((view.job,), float(view.events[-1].number if view.events else 0)) for view in views]
-        words = meanings(job_status.JobEvent)["number"]
-        yield metric(CounterMetricFamily, "job_events", words, ("job",), events)
+        def by_state(
+            name: str, words: str, states: Callable[[JobView], Iterable[tuple[str, float]]]
+        ) -> Metric:
+            samples = [((view.job, state), n) for view in self._views for state, n in states(view)]
+            return metric(GAUGE, name, words, ("job", "state"), samples)
 
-    def _run_infos(self) -> Iterator[Metric]:
-        info = InfoMetricFamily(
-            "qdgrasp_run", "Hand, object, method, protocol and seed of a run.", labels=("job", "run")
+        words = "How the job is: 1 for the state that holds."
+        yield by_state("job_state", words, lambda view: [(each, view.state == each) for each in STATES])
+        yield by_state("job_runs", "The job's runs by state.", lambda view: _run_states(view.figures))
+        words = "Shapes that the job needs, by state."
+        yield by_state("job_scenes", words, lambda view: _scene_states(view.figures))
+        events = [((view.job,), view.events[-1].number if view.events else 0) for view in self._views]
+        yield metric(COUNTER, "job_events", meanings(JobEvent)["number"], ("job",), events)
+
+    def _runs(self) -> Iterator[Metric]:
+        runs, labels = (
+            [((view.job, run.run), run) for view in self._views for run in view.runs],
+            ("job", "run"),
         )
-        for labels, run in self._runs:
-            info.add_metric(labels, {name: str(getattr(run, name)) for name in RUN_LABELS})
+        words = "Hand, object, method, protocol and seed of a run."
+        info = InfoMetricFamily("qdgrasp_run", words, labels=labels)
+        for values, run in runs:
+            info.add_metric(values, {name: str(getattr(run, name)) for name in RUN_LABELS})
         yield info
-        over = [(labels, float(bool(run.finished))) for labels, run in self._runs]
-        yield metric(GaugeMetricFamily, "run_finished", "Whether the run is over.", RUN.labels, over)
-        ends = [((*labels, name), float(n)) for labels, run in self._runs for name, n in run.outcomes.items()]
-        words = meanings(RunStatus)["outcomes"]
-        yield metric(CounterMetricFamily, "run_outcomes", words, (*RUN.labels, "outcome"), ends)
+        over = [(values, bool(run.finished)) for values, run in runs]
+        yield metric(GAUGE, "run_finished", "Whether the run is over.", labels, over)
+        ends = [((*values, name), n) for values, run in runs for name, n in run.outcomes.items()]
+        yield metric(COUNTER, "run_outcomes", meanings(RunStatus)["outcomes"], (*labels, "outcome"), ends)
+        yield from figure_metrics("run", labels, RUN_METRICS, runs)
 
     def _workers(self) -> Iterator[Metric]:
         counts = Counter((view.job, each.host, each.state) for view in self._active for each in view.workers)
         words = f"Workers on a host: {meanings(WorkerStatus)['state']}"
-        samples = [(labels, float(n)) for labels, n in counts.items()]
-        yield metric(GaugeMetricFamily, "workers", words, ("job", "host", "state"), samples)
+        yield metric(GAUGE, "workers", words, ("job", "host", "state"), counts.items())
         shown = [(view.job, each) for view in self._active for each in view.workers[:MOST_WORKERS]]
-        yield from WORKER.metrics(((job, each.wid, each.host), each) for job, each in shown)
+        workers = [((job, each.wid, each.host), each) for job, each in shown]
+        yield from figure_metrics("worker", ("job", "worker", "host"), WORKER_METRICS, workers)
 
 
 def _scene_states(job: JobStatus) -> Iterator[tuple[str, int]]:

@@ -218,8 +218,7 @@ def object_list(title: str, objects: Sequence[ObjectListing], top: int = 0) -> L
 
 def worker_list(view: JobView, top: int = 0) -> Listing:
     """Return a job's workers, those that are in trouble first."""
-    rank = {"gone": 0, "stuck": 1, "leaving": 2}
-    workers = sorted(view.workers, key=lambda worker: (rank.get(worker.state, 3), worker.host, worker.pid))
+    workers = view.workers
     columns = (
         Column("host", lambda one: one.host, least=12),
         Column("process", lambda one: str(one.pid), 6),

@@ -8,7 +8,6 @@ import asyncio
 import re
 import threading
 import time
-import zlib
 from asyncio import CancelledError
 from collections import Counter
 from collections.abc import AsyncIterator, Callable
@@ -17,27 +16,18 @@ from textwrap import indent
 
 import msgspec
 from anyio import CapacityLimiter, to_thread
-from msgspec import Struct
 from sse_starlette import EventSourceResponse
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Route
 
-from qdgrasp_coordinator.metrics.job_status import (
-    JobEvent,
-    JobMeta,
-    JobStatus,
-    ObjectListing,
-    RunStatus,
-    WorkerStatus,
-)
 from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.keys import parse_number
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.text import printable
 from qdgrasp_tools.campaign.object_table import count_states, select_objects, with_events
 from qdgrasp_tools.monitor.feed import Feed
-from qdgrasp_tools.monitor.job_model import JobView
+from qdgrasp_tools.monitor.job_model import MOST_WORKERS, JobView
 from qdgrasp_tools.monitor.prometheus import exposition
 from qdgrasp_tools.monitor.records import FolderIndex, FolderRecords
 from qdgrasp_tools.monitor.web.run_cache import JobCaches, RunCache, RunCaches
@@ -53,64 +43,27 @@ JSON = "application/json"
 STATE_SECONDS = 0.5  # Between two states that a browser gets [s]
 STUCK_SECONDS = 15.0  # A browser that takes nothing for so long is dropped [s]
 MAX_BROWSERS = 64
-MOST_WORKERS = 512  # The most workers of a job that are listed, those in trouble first; all are counted
-MOST_RUNS = 256  # The most runs of a job that are listed: first those in progress, then the latest heard
-WORKER_STATES = ("stuck", "gone", "leaving", "working", "idle")
-"""The states of workers, those in trouble first."""
 
 
-class WorkersState(Struct, frozen=True, kw_only=True):
-    """The workers of a job."""
-
-    total: int
-    states: dict[str, int]  # Numbers of workers by state
-    workers: list[WorkerStatus]  # At most `MOST_WORKERS` of them
-
-    @classmethod
-    def of(cls, workers: list[WorkerStatus]) -> "WorkersState":
-        """Count workers; of too many, list those in trouble."""
-        rank = {state: number for number, state in enumerate(WORKER_STATES)}
-        shown = workers
-        if len(workers) > MOST_WORKERS:
-            shown = sorted(workers, key=lambda worker: rank.get(worker.state, 0))[:MOST_WORKERS]
-        states = dict(Counter(worker.state for worker in workers))
-        return cls(total=len(workers), states=states, workers=shown)
-
-
-class JobState(Struct, frozen=True, kw_only=True):
-    """A job as it is sent twice a second."""
-
-    job: str
-    state: str
-    silent: float  # Seconds since the last message of its coordinator
-    speed: float  # Latest counted evaluations per second
-    left: str  # Time left in words
-    obstacle: str  # Cause that keeps it from continuing, in words; empty: no obstacle
-    meta: JobMeta
-    figures: JobStatus
-    runs: list[RunStatus]  # In progress, or ended during the watch; at most `MOST_RUNS`
-    lefts: dict[str, str]  # Time left of the runs
-    team: WorkersState
-    events: list[JobEvent]
-
-    @classmethod
-    def of(cls, view: JobView) -> "JobState":
-        """Select what is sent of a job."""
-        runs = view.foremost(MOST_RUNS)
-        return cls(
-            job=view.job,
-            state=view.state,
-            silent=view.silent,
-            speed=view.history.latest_rate,
-            left=view.figures.left,
-            obstacle=view.figures.obstacle,
-            meta=view.meta,
-            figures=view.figures,
-            runs=runs,
-            lefts={one.run: one.left for one in runs},
-            team=WorkersState.of(view.workers),
-            events=view.events,
-        )
+def job_state(view: JobView) -> dict[str, object]:
+    """Return a job as it is sent twice a second."""
+    return {
+        "job": view.job,
+        "state": view.state,
+        "silent": view.silent,  # Seconds since the last message of its coordinator
+        "speed": view.history.latest_rate,  # Latest counted evaluations per second
+        "left": view.figures.left,  # Time left in words
+        "obstacle": view.figures.obstacle,  # Cause that keeps it from continuing, in words
+        "meta": view.meta,
+        "figures": view.figures,
+        "runs": view.runs,  # In progress, or ended during the watch
+        "lefts": {one.run: one.left for one in view.runs},
+        "team": {
+            "states": Counter(worker.state for worker in view.workers),
+            "workers": view.workers[:MOST_WORKERS],
+        },
+        "events": view.events,
+    }
 
 
 class PageState:
@@ -127,7 +80,7 @@ class PageState:
         """Return all jobs as they are now, or were a moment ago, as JSON in one line."""
         with self._lock:
             if time.monotonic() > self._encoded_at + STATE_SECONDS / 2:
-                jobs = [JobState.of(view) for view in self.views()]
+                jobs = [job_state(view) for view in self.views()]
                 link = {"linked": self._feed.is_linked, "foreign_jobs": self._feed.foreign_jobs}
                 self._text = msgspec.json.encode({"at": time.time(), **link, "jobs": jobs})
                 self._encoded_at = time.monotonic()
@@ -155,26 +108,6 @@ class PageState:
             self.browsers -= 1
 
 
-class ObjectPage(Struct, frozen=True, kw_only=True):
-    """Some objects of a job, as a browser asked for them."""
-
-    objects: list[ObjectListing]
-    first: int  # Number of the first of these among the objects found
-    found: int  # Objects that the search leaves
-    total: int
-    states: dict[str, int]  # Number of all objects in each state
-    little: int  # Number of all objects that got little
-    uncounted: int  # Runs whose rows are still being counted
-
-
-class JobListing(Struct, frozen=True):
-    """A job in a folder."""
-
-    job: str
-    folder: str  # Its path, printable
-    runs: list[str]  # Names of its runs that were begun
-
-
 def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
     """Return the routes of the page of the jobs in a feed."""
     state, limiter = PageState(feed), CapacityLimiter(MAX_THREADS)
@@ -183,10 +116,6 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
         if state.browsers >= MAX_BROWSERS:
             return PlainTextResponse("Too many browsers watch already.\n", 503, {"Retry-After": "5"})
         return EventSourceResponse(state.events(stop), sep="\n", ping=0, send_timeout=STUCK_SECONDS)
-
-    async def objects(request: Request) -> Response:
-        text = await to_thread.run_sync(_object_page, request, caches, state, limiter=limiter)
-        return _json_if_new(request, text)
 
     def object_runs(request: Request) -> bytes:
         return caches.object_runs(request.path_params["job"], request.query_params.get("file", ""))
@@ -204,7 +133,7 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
         Route("/api/stream", stream),
         Route("/api/jobs/{job}/history", lambda request: _json(state.history(request.path_params["job"]))),
         _slow("/api/jobs/{job}/runs", lambda request: caches.runs(request.path_params["job"]), limiter),
-        Route("/api/jobs/{job}/objects", objects),
+        _slow("/api/jobs/{job}/objects", lambda request: _object_page(request, caches, state), limiter),
         _slow("/api/jobs/{job}/objects/runs", object_runs, limiter),
         _picture_route("/api/jobs/{job}/runs/{run}/picture", picture),
         Route("/metrics", metrics),
@@ -222,15 +151,15 @@ def _object_page(request: Request, caches: JobCaches, state: PageState) -> bytes
             told = with_events(told, view.events, view.figures.building)
     shown = select_objects(told, query.get("search", ""), query.get("sort", ""), down="down" in query)
     first = min(parse_number(query.get("from", "")) or 0, max(0, len(shown) - 1) // PAGE_ROWS * PAGE_ROWS)
-    page = ObjectPage(
-        objects=shown[first : first + PAGE_ROWS],
-        first=first,
-        found=len(shown),
-        total=len(told),
-        states=count_states(told),
-        little=sum(bool(each.little) for each in told),
-        uncounted=found.uncounted,
-    )
+    page = {
+        "objects": shown[first : first + PAGE_ROWS],
+        "first": first,
+        "found": len(shown),
+        "total": len(told),
+        "states": count_states(told),
+        "little": sum(bool(each.little) for each in told),
+        "uncounted": found.uncounted,  # Runs whose rows are still being counted
+    }
     return msgspec.json.encode(page)
 
 
@@ -254,7 +183,10 @@ def folder_routes(index: FolderIndex) -> list[BaseRoute]:
 
     def listings(_request: Request) -> bytes:
         jobs = index.jobs.items()
-        found = [JobListing(name, printable(str(job.folder.path)), list(job.runs)) for name, job in jobs]
+        found = [
+            {"job": name, "folder": printable(str(job.folder.path)), "runs": list(job.runs)}
+            for name, job in jobs
+        ]
         return msgspec.json.encode(found)
 
     page = Route("/", lambda _: HTMLResponse(html("view")))
@@ -313,15 +245,6 @@ def _slow(
 def _json(text: bytes) -> Response:
     """Return JSON that is not cached."""
     return Response(text, headers={"Cache-Control": "no-store"}, media_type=JSON)
-
-
-def _json_if_new(request: Request, text: bytes) -> Response:
-    """Return JSON with a tag; without content where the browser has it already."""
-    tag = f'W/"{zlib.crc32(text):08x}-{len(text)}"'
-    headers = {"Cache-Control": "no-cache", "ETag": tag}
-    if request.headers.get("if-none-match") == tag:
-        return Response(status_code=304, headers=headers)
-    return Response(text, headers=headers, media_type=JSON)
 
 
 def _row(text: str) -> int | None:

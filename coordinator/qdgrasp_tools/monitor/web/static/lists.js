@@ -105,9 +105,9 @@ export class WorkerPanel {
     if (state in NO_WORKERS) return this.#fill(`nobody works: ${NO_WORKERS[state]}`, []);
     if (state === "silent") return this.#fill(`nobody tells of them for ${span(silent)}`, team.workers.map((worker) => asUnknown(worker, silent)));
     const states = STATES.filter((state) => team.states[state]).map((state) => `${count(team.states[state])} ${state}`);
-    const unlisted = team.total - team.workers.length;
+    const total = Object.values(team.states).reduce((sum, each) => sum + each, 0), unlisted = total - team.workers.length;
     const rest = unlisted ? `; ${several(unlisted, "other")} not listed` : "";
-    this.#fill(team.total ? states.join(", ") + rest : "none has joined: start some with qdgrasp-worker", team.workers);
+    this.#fill(total ? states.join(", ") + rest : "none has joined: start some with qdgrasp-worker", team.workers);
   }
 
   #fill(words, workers) {
