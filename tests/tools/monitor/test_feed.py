@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 from tests.common import PATIENCE, wait_for
-from tests.tools.monitor.sample_jobs import NOW, figures, run, values, views
+from tests.tools.monitor.sample_jobs import figures, run, values, views
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, to_json
 from qdgrasp_protocol.bus import Bus, Channel, Query
@@ -15,7 +15,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
-from qdgrasp_tools.monitor.feed import Feed, RecordFeed, summary_lines
+from qdgrasp_tools.monitor.feed import Feed, RecordFeed
 from qdgrasp_tools.monitor.job_model import JobView
 
 MUGS = Keys("mugs")
@@ -126,20 +126,6 @@ def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts(network: Me
         with feed._changed:  # a reader that does not get on
             threading.Thread(target=put).start()
             assert done.wait(PATIENCE)
-
-
-def text(shown: dict[str, bytes]) -> str:
-    return "\n".join(line for view in views(shown) for line in summary_lines(view, NOW))
-
-
-def test_a_job_is_told_in_a_few_lines() -> None:
-    assert text(values(recorders=1)) == (
-        "mugs: running on head (process 7, epoch 2) for 1 d 1:02:03\n"
-        "  0 of 3 runs, 1000 of 3000 evaluations, 100/s, 0 successes in 5 cells, "
-        "0 simulated of 0 proposals, 0 overlaps, 0 dead ends, 9 workers, about 20 s left\n"
-        "  2 runs in progress: a 10/1000, b 10/1000\n"
-        "  workers: n0 2, n1 2, n2 1, n3 1, n4 1, n5 1 and 1 more (4 idle, 5 working)"
-    )
 
 
 class SlowRecorder:

@@ -4,7 +4,6 @@ import itertools
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from msgspec import structs
 from tests.coordinator.recorded_campaigns import BUDGET, record_campaign, rows_of
@@ -13,14 +12,12 @@ from tests.fakes.recorder import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListings, from_json
 from qdgrasp_coordinator.metrics.run_stats import success_mask
-from qdgrasp_coordinator.storage import success_pages
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol import bundle_transfer, messages
+from qdgrasp_protocol import bundle_transfer
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
-from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.monitor import queries
 from qdgrasp_tools.monitor.queries import RunIndex
@@ -47,12 +44,6 @@ def ticking(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(queries, "time", SimpleNamespace(monotonic=lambda: float(next(seconds))))
 
 
-@pytest.mark.usefixtures("ticking")
-def test_what_is_counted_in_part_is_counted_on(tmp_path: Path) -> None:
-    counted = RunIndex(record_spec(tmp_path / "mug", HERE, random_rows(300), block=100).path)
-    assert [counted.page(0).uncounted for _ in range(5)] == [1, 1, 0, 0, 0]
-
-
 def test_a_journal_that_is_damaged_behind_its_beginning_is_left_out_of_every_answer(tmp_path: Path) -> None:
     rows = random_rows(300)
     made = record_spec(tmp_path / "mug", HERE, rows, block=100)
@@ -71,7 +62,6 @@ def test_how_a_run_grew_is_known_as_far_as_it_is_counted_and_when_it_is_over(cam
 
 KEYS = Keys(JOB)
 ROWS = make_rows(400)
-FOUND = np.flatnonzero(success_mask(ROWS))
 
 
 @pytest.fixture
@@ -82,31 +72,6 @@ def path(tmp_path: Path) -> Path:
 def entries(network: MemoryNetwork) -> RunListings:
     with network.session() as bus:
         return from_json(bus.ask(KEYS.entries), RunListings)
-
-
-def all_finds(network: MemoryNetwork, run: str = "run") -> tuple[list[int], int]:
-    """The numbers of all finds, and in how many answers they came."""
-    numbers: list[int] = []
-    first = answers = 0
-    with network.session() as bus:
-        while True:
-            answer = messages.decode(bus.ask(KEYS.finds, parameters=f"run={run}&from={first}"), SuccessPage)
-            answers += 1
-            numbers += success_pages.page_from_message(answer)["number"].tolist()
-            if answer.next >= answer.rows:
-                return numbers, answers
-            assert answer.next > first
-            first = answer.next
-
-
-def test_every_success_is_shown_once_and_by_its_number(network, coordinator, path, monkeypatch) -> None:
-    monkeypatch.setattr(success_pages, "page_limit", lambda shape: 1 + len(FOUND) // 6)
-    with recording(network, path):
-        coordinator.open()
-        assert all_finds(network) == ([], 1)
-        coordinator.send(ROWS, 0, 400)
-        coordinator.hears_durable(400)
-        assert all_finds(network) == (FOUND.tolist(), 6)
 
 
 def test_entries_count_what_is_recorded_of_each_run(network, coordinator, path) -> None:

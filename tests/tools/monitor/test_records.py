@@ -38,10 +38,6 @@ def names(*paths: Path) -> dict[str, list[str]]:
     return {job: list(one.runs) for job, one in FolderIndex(paths).jobs.items()}
 
 
-def test_a_run_is_a_job_of_one(tmp_path: Path, make_scene) -> None:
-    assert names(record(tmp_path / "mug", make_scene(), random_rows(5)).path) == {"mug": ["run"]}
-
-
 def test_of_a_campaign_all_runs_are_shown_also_those_that_begin_later(campaign: Path, tmp_path: Path) -> None:
     shown = FolderIndex([campaign])
     run = RunFolder.open(campaign / "runs" / "one")
@@ -130,11 +126,6 @@ def test_the_synergy_of_each_success_comes_along(tmp_path: Path, network: Memory
 def listed(folder: RunFolder, network: MemoryNetwork) -> Iterator[BusRecords]:
     with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
         yield BusRecords(ours)
-
-
-def test_a_run_is_counted_as_its_journal_is(listed: BusRecords) -> None:
-    (entry,) = listed.entries("mug").runs
-    assert (entry.run, entry.rows, entry.successes) == ("run", 300, len(ROWS[success_mask(ROWS)]))
 
 
 def test_how_a_run_grew_is_told_generation_by_generation(records: Records, folder: RunFolder) -> None:

@@ -62,27 +62,8 @@ def test_two_grasps_stand_beside_each_other_seen_from_one_side(page: Page) -> No
     expect(kept.locator(".scene-contacts g")).to_have_count(2)
     page.get_by_label("Closing of the hand").press("ArrowLeft")
     expect(kept.locator(".scene-contacts g")).to_have_count(0)
-
-    seen = """() => [...document.querySelectorAll(".stage")].map((stage) =>
-      [...stage.querySelectorAll(".scene-axes line")].slice(0, 3).map((line) => line.outerHTML).join())"""
-    for canvas in ("#scene", "#beside canvas"):
-        before = page.evaluate(seen)
-        page.locator(canvas).press("ArrowUp") if canvas == "#scene" else drag(page, canvas)
-        page.wait_for_function(
-            f"(before) => {{ const [one, other] = ({seen})(); return one !== before[0] && one === other; }}",
-            arg=before,
-        )
     kept.get_by_role("button", name="Let the kept grasp go").click()
     expect(kept).to_be_hidden()
-
-
-def drag(page: Page, canvas: str) -> None:
-    box = page.locator(canvas).bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.mouse.move(x, y)
-    page.mouse.down()
-    page.mouse.move(x + 40, y + 25, steps=4)
-    page.mouse.up()
 
 
 @browser.needed

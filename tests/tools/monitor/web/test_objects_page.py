@@ -1,13 +1,10 @@
 """The table of objects: the server's answers, and the page in a browser."""
 
-import io
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import msgspec
-import numpy as np
 import pytest
-from PIL import Image
 from tests import browser
 from tests.browser import expect
 from tests.coordinator.recorded_campaigns import SKIPPED
@@ -143,16 +140,6 @@ def test_what_the_coordinator_says_stands_at_the_objects(parts, objects) -> None
     assert ask(parts, objects).json()["states"] == {
         "failed": 1, "skipped": 3, "building": 1, "waiting": 98, "done": 200,
     }  # fmt: skip
-
-
-def test_a_picture_shows_the_object_on_a_clear_ground() -> None:
-    picture = np.asarray(Image.open(io.BytesIO(object_picture(made_scene(), 64))))
-    assert picture.shape == (64, 64, 4)
-    assert (picture[0, 0, 3], picture[32, 32, 3]) == (0, 255)
-    assert 0.3 < (picture[..., 3] > 0).mean() < 0.95
-    edge = picture[(picture[..., 3] > 20) & (picture[..., 3] < 235)]
-    assert len(edge)
-    assert edge[:, 2].max() < 230  # clay, and not mixed with the white of the renderer
 
 
 @pytest.fixture

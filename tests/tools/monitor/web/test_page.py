@@ -14,32 +14,6 @@ pytestmark = browser.needed
 Page = Any
 Look = Callable[..., Page]
 
-CONTRAST = """() => {
-  const channel = (value) => ((value /= 255) <= 0.03928 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4);
-  const brightness = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
-  const parts = (colour) => colour.match(/[\\d.]+/g).map(Number);
-  const behind = (node) => {
-    for (; node; node = node.parentElement) {
-      const [r, g, b, alpha = 1] = parts(getComputedStyle(node).backgroundColor);
-      if (alpha > 0.5) return [r, g, b];
-    }
-    return [255, 255, 255];
-  };
-  const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
-  const found = [];
-  while (texts.nextNode()) {
-    const node = texts.currentNode.parentElement, words = texts.currentNode.textContent.trim();
-    if (!words || !node.checkVisibility() || node.closest(".unseen, script")) continue;
-    const [one, other] = [parts(getComputedStyle(node).color), behind(node)].map(brightness);
-    found.push([words, (Math.max(one, other) + 0.05) / (Math.min(one, other) + 0.05)]);
-  }
-  return found;
-}"""
-NAMELESS = """() => [...document.querySelectorAll("button, a, input, progress, [role=img], [tabindex]")]
-  .filter((node) => node.checkVisibility() && !node.closest("[aria-hidden=true]"))
-  .filter((node) => !(node.ariaLabel || node.textContent.trim() || node.getAttribute("aria-labelledby")))
-  .map((node) => node.outerHTML)"""
-
 
 @pytest.fixture(scope="module")
 def place() -> Iterator[str]:
@@ -73,13 +47,6 @@ def test_curves_are_drawn_and_their_last_points_are_told(look: Look, place: str)
         expect(page.locator(f"#{plot} canvas")).to_be_visible()
         expect(page.locator(f"#{plot}-legend dt")).to_have_text(names)
         expect(page.locator(f"#{plot}-legend dd")).to_have_text([re.compile("[1-9]")] * len(names))
-
-
-def near(page: Page, nudge: int) -> bool:
-    """Move the cursor near the lines of the cells; what is drawn anew has to see it move."""
-    box = page.locator("#cells .u-over").bounding_box()
-    page.mouse.move(box["x"] + 0.9 * box["width"] + nudge, box["y"] + 0.2 * box["height"])
-    return True
 
 
 def test_a_worker_that_was_killed_is_shown_as_gone(look: Look) -> None:
@@ -135,16 +102,6 @@ def test_workers_are_sorted_by_the_column_that_was_chosen(look: Look, place: str
     expect(memory).to_have_text(sizes[::-1])
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("phone", [False, True], ids=["desktop", "phone"])
-def test_words_stand_out_from_what_is_behind_them(look: Look, place: str, theme: str, phone: bool) -> None:
-    page = look(f"{place}/#job=hands", color_scheme=theme, phone=phone)
-    expect(page.locator("#name")).to_have_text("hands")
-    page.wait_for_function(f"() => ({CONTRAST})().length > 60")
-    contrasts = page.evaluate(CONTRAST)
-    assert [(words, round(ratio, 2)) for words, ratio in contrasts if ratio < 4.5] == []
-
-
 @pytest.mark.parametrize("job", ["mug", "hands"])
 def test_a_phone_shows_everything_without_scrolling_sideways(look: Look, place: str, job: str) -> None:
     page = look(f"{place}/#job={job}", phone=True)
@@ -154,15 +111,6 @@ def test_a_phone_shows_everything_without_scrolling_sideways(look: Look, place: 
         "() => [...document.querySelectorAll('.panel')].map((node) => node.getBoundingClientRect().right)"
     )
     assert max(page.evaluate(panels)) <= PHONE["width"]
-
-
-def test_whatever_can_be_used_has_a_name(look: Look, place: str) -> None:
-    page = look(f"{place}/#job=hands")
-    expect(page.locator("#workers tbody tr").first).to_be_visible()
-    assert page.evaluate(NAMELESS) == []
-    assert page.evaluate("() => document.documentElement.lang") == "en"
-    for only in ("h1", "main", "nav"):
-        expect(page.locator(only)).to_have_count(1)
 
 
 def test_the_token_opens_the_page_and_leaves_the_address(look: Look) -> None:

@@ -10,7 +10,7 @@ from tests.tools.monitor.web.test_scene_data import columns_of, in_cells, read, 
 
 from qdgrasp_assets.scene import Scene, SceneObject
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
-from qdgrasp_protocol.errors import InputError, NoReply
+from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.records import JournalId, RecordPage
 from qdgrasp_tools.monitor.web import run_cache
@@ -60,27 +60,12 @@ def half(scene: Scene) -> Scene:
     return replace(scene, gripper=replace(scene.gripper, joints=scene.gripper.joints[:1]))
 
 
-def test_all_that_was_found_is_shown_at_once(records: HandMadeRecords, run: RunCache) -> None:
-    records.record(random_finds(50))
-    _, more, shown = read(run.cells(0))
-    assert not more
-    assert len({place for place, *_ in shown.values()}) == len(np.unique(records.found["descriptor"], axis=0))
-
-
 def test_what_is_found_later_is_added(records: HandMadeRecords, run: RunCache) -> None:
     records.record(finds([0], [(1, 0, 0)], [Outcome.HELD]))
     upto, _, _ = read(run.cells(0))
     records.record(finds([1], [(2, 0, 0)], [Outcome.HELD]))
     records.now += FRESH_SECONDS
     assert in_cells(run.cells(upto)) == {(2, 0, 0): (1, Outcome.HELD)}
-
-
-def test_many_browsers_cost_the_recorder_no_more_than_one(records, run) -> None:
-    records.record(random_finds(4))
-    assert len({run.cells(0) for _ in range(20)}) == records.asked == 1
-    records.now += FRESH_SECONDS
-    run.cells(0)
-    assert records.asked == 2
 
 
 def test_a_journal_that_fell_back_is_read_anew(records: HandMadeRecords, run: RunCache) -> None:
@@ -203,14 +188,6 @@ def test_margins_are_computed_a_few_at_a_time_while_they_are_asked_for(records, 
     records.record(settled([40]))
     assert margins_of(run.cells(0, margins=True)).keys() == {*found["number"].tolist(), 40}
     assert sorted(computed) == [*found["number"].tolist(), 40]
-
-
-def test_a_row_that_is_no_success_is_no_grasp(records: HandMadeRecords, run: RunCache) -> None:
-    records.record(random_finds(9))
-    with pytest.raises(InputError, match="Row 11 of the journal of 'run' is no success"):
-        run.grasp(11)
-    with pytest.raises(InputError, match="Row 99"):
-        run.grasp(99)
 
 
 def test_what_was_read_is_shown_when_nobody_answers_any_more(records, run, monkeypatch) -> None:

@@ -51,11 +51,6 @@ def test_the_object_stands_in_its_centre_of_mass_frame(make_scene, stands: Brows
     assert np.allclose(corners.max(axis=(0, 1)), stands.high, atol=1e-6)
 
 
-def test_only_links_whose_contact_counts_are_fingers(stands: BrowserScene) -> None:
-    fingers = {link.name: link.finger for link in stands.links}
-    assert fingers == {"palm": False, "left_finger": True, "right_finger": True}
-
-
 def test_a_grasp_says_all_that_is_known_of_it(make_scene, drawn: HandGeometry) -> None:
     scene = replace(make_scene(), object=replace(make_scene().object, com_in_mesh=(0.0, 0.1, 0.0)))
     stands = replace(browser_scene(scene, drawn), synergies=["pinch", "power"])

@@ -9,7 +9,6 @@ from tests.browser import PHONE, expect
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 from tests.tools.monitor.web.conftest import serving_routes
-from tests.tools.monitor.web.test_page import CONTRAST
 
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -80,15 +79,8 @@ def test_the_settings_of_a_run_are_its_spec_and_how_it_is_simulated(look: Look, 
         expect(shown.filter(has_text=words)).to_have_count(1)
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("phone", [False, True], ids=["desktop", "phone"])
-def test_words_stand_out_and_nothing_is_wider_than_the_window(look, place, theme, phone) -> None:
-    page = look(place, color_scheme=theme, phone=phone)
+def test_on_a_phone_nothing_is_wider_than_the_window(look: Look, place: str) -> None:
+    page = look(place, phone=True)
     page.locator("#scene").press("n")
     page.locator("#grasp h4").wait_for()
-    page.get_by_label("x lowest").press("ArrowRight")
-    contrasts = [(words, ratio) for words, ratio in page.evaluate(CONTRAST) if words != "Show all"]
-    assert len(contrasts) > 30
-    assert [(words, round(ratio, 2)) for words, ratio in contrasts if ratio < 4.5] == []
-    if phone:
-        assert page.evaluate("() => document.documentElement.scrollWidth") == PHONE["width"]
+    assert page.evaluate("() => document.documentElement.scrollWidth") == PHONE["width"]
