@@ -9,7 +9,7 @@ import msgspec
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_paths import NOT_THERE, named_path, path_problem, searched
 from qdgrasp_assets.asset_report import GripperReport, examine, inspect_object
-from qdgrasp_assets.geometry.collision_parts import available_parts
+from qdgrasp_assets.geometry.collision_parts import known_parts
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.mesh_io import read_mesh
 from qdgrasp_assets.geometry.mesh_repair import surface_faults
@@ -58,7 +58,7 @@ def _check(name: str) -> AssetSummary:
     if path_problem(named_path(name)) != NOT_THERE:
         draft = read_draft(named_path(name))
         report = inspect_object(draft, name, glued=True, parts=False)
-        hulls = () if report.faults else (_hulls_in_words(available_parts(draft.mesh)),)
+        hulls = () if report.faults else (_known_hulls(draft.mesh),)
         return AssetSummary(name, report.facts + hulls, report.faults)
     known = [listing.name for listing in (*catalog.every_gripper(), *catalog.every_object())]
     raise UnknownName("asset", name, known, "Or name a mesh file, or a gripper's TOML file.")
@@ -76,7 +76,7 @@ def _check_scan(name: str) -> AssetSummary:
     file = fetched_mesh(name)
     mesh = correct_mesh(read_mesh(file), scan)
     known, found = read_pin(scan.archive).mesh_sha256, hashlib.sha256(file.read_bytes()).hexdigest()
-    facts = _hulls_in_words(available_parts(mesh)), f"sha256 {found}" + ("" if known else " (none is known)")
+    facts = _known_hulls(mesh), f"sha256 {found}" + ("" if known else " (none is known)")
     faults = list(scan_differences(mesh, scan))
     if known is not None and known != found:
         faults.append(f"its file '{file}' has sha256 {found} instead of {known}; fetch it again")
@@ -89,9 +89,12 @@ def _mesh_summary(name: str, mesh: Mesh, facts: Iterable[str], faults: Iterable[
     return AssetSummary(name, (*size, volume, *facts), (*surface_faults(mesh), *faults))
 
 
-def _hulls_in_words(parts: tuple[Mesh, ...] | None) -> str:
-    if parts is None:
-        return "convex parts not found yet: CoACD will, at first use"
+def _known_hulls(mesh: Mesh) -> str:
+    known = known_parts(mesh)
+    return _hulls_in_words(known[1]) if known else "convex parts not found yet: CoACD will, at first use"
+
+
+def _hulls_in_words(parts: tuple[Mesh, ...]) -> str:
     return counted(len(parts), "convex part")
 
 

@@ -14,7 +14,6 @@ import numpy as np
 from msgspec import Struct
 
 from qdgrasp_assets.geometry.collision_parts import (
-    TIME_LIMIT,
     FingerClearance,
     Tell,
     collision_parts,
@@ -155,14 +154,13 @@ def inspect_object(
     mass: float | None = None,
     glued: bool = False,
     parts: bool = True,
-    time_limit: float = TIME_LIMIT,
     tell: Tell = ignore_progress,
 ) -> ObjectReport:
     """Inspect a mesh file before a run is made of it.
 
     `name` is the object's in the result, `scale` metres to a unit of the file (None: 1), `mass` in kg (None:
     unknown). With `glued`, bodies that are apart are meant to be one rigid object. With `parts` its convex
-    parts are found (see `time_limit` [s] and `tell`), which takes minutes where they are not kept already.
+    parts are found (see `tell`), which takes minutes where they are not kept already.
     """
     mesh, volumes = draft.mesh, body_volumes(draft.mesh)
     hollows = 0 if draft.faults else int((volumes < 0).sum())
@@ -199,7 +197,7 @@ def inspect_object(
     if not parts:
         return found
     try:
-        source, convex = collision_parts(mesh, name, time_limit, tell)
+        source, convex = collision_parts(mesh, name, tell)
     except AssetError as error:
         return msgspec.structs.replace(found, faults=(str(error).rstrip("."),))
     fit = FingerClearance(mesh).fit(convex)

@@ -5,7 +5,7 @@ Closed surfaces are read from mesh files in metres, and repaired where that take
 
 import logging
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -166,37 +166,33 @@ def read_object(
     scale: float | None = None,
     preparation: MeshPreparation | None = None,
     about: ObjectRecord | None = None,
-    tell: Tell = ignore_progress,
 ) -> ObjectModel:
     """Read an object from any closed mesh file; its CoM is that of the enclosed volume.
 
     `mass` is in kg, `scale` in metres to a unit of the file; None: 1. `preparation` as in `read_draft`;
     `about` gives it a name, a source and a licence. Its convex parts serve `released` too, as the collision
-    mesh that normals come from. `tell` is called with a sentence before each slow step. Raises `AssetError`
-    if the mesh cannot be used, or there is no mass.
+    mesh that normals come from. Raises `AssetError` if the mesh cannot be used, or there is no mass.
     """
-    tell(f"reading the mesh {path.name}")
+    facts = file_facts(path, mass, scale, preparation, about)
     draft = solid_draft(path, scale, preparation)
     warn_of_mesh(path, draft.repairs)
-    made = object_of_mesh(draft.mesh, path, mass, scale, preparation, about, tell)
-    return replace(made, repairs=draft.repairs)
+    return ObjectModel(**vars(facts), **vars(geometry_of(draft, path.name)))
 
 
-def object_of_mesh(
-    mesh: Mesh,
-    path: Path,
-    mass: float | None,
-    scale: float | None = None,
-    preparation: MeshPreparation | None = None,
-    about: ObjectRecord | None = None,
-    tell: Tell = ignore_progress,
-) -> ObjectModel:
-    """Make an object of a closed mesh [m] read from `path`; the rest as in `read_object`."""
-    facts = file_facts(path, mass, scale, preparation, about)
-    tell(f"looking whether the hull of {path.name} will do")
-    source, parts = collision_parts(mesh, path.name, tell=tell)
-    return ObjectModel(
-        **vars(facts), collision_source=source, mesh=mesh, parts=parts, com_in_mesh=mesh.centre_of_mass
+def geometry_of(draft: ObjectDraft, name: str, tell: Tell = ignore_progress) -> ObjectGeometry:
+    """Return the geometry of a draft without faults, with its convex parts.
+
+    It is called `name` in messages. `tell` is called with a sentence before each slow step.
+    Errors of `collision_parts`.
+    """
+    tell(f"looking whether the hull of {name} will do")
+    source, parts = collision_parts(draft.mesh, name, tell)
+    return ObjectGeometry(
+        collision_source=source,
+        mesh=draft.mesh,
+        parts=parts,
+        com_in_mesh=draft.mesh.centre_of_mass,
+        repairs=draft.repairs,
     )
 
 

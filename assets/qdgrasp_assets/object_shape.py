@@ -22,23 +22,17 @@ from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_paths import cache_folder, named_path, remove_unfinished, write_whole
 from qdgrasp_assets.code_version import building_code, file_digest
 from qdgrasp_assets.geometry.collision_parts import (
-    COACD,
-    OWN_HULL,
-    TIME_LIMIT,
     FingerClearance,
     PartsFit,
-    ProcessLimits,
     Tell,
-    has_unfinished_parts,
     ignore_progress,
-    limited_parts,
 )
 from qdgrasp_assets.geometry.mesh import Floats, parts_to_obj, read_obj
 from qdgrasp_assets.geometry.mesh_io import check_file, linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.resolution import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
-from qdgrasp_assets.object_model import ObjectGeometry, read_object, solid_draft, warn_of_mesh
+from qdgrasp_assets.object_model import ObjectDraft, ObjectGeometry, geometry_of, solid_draft, warn_of_mesh
 from qdgrasp_assets.scene import Vector, vector
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_protocol.build_messages import ShapeTask
@@ -55,7 +49,7 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """The geometry of an object, in its CoM frame: origin at the CoM, axes of the mesh."""
 
     collision_source: Words
-    """Source of the parts: "own parts", "own hull", "asset path" or "coacd", and why no finer ones."""
+    """Source of the parts: "own parts", "own hull", "asset path" or "coacd"."""
     com_in_mesh: Vector
     """The centre of mass in the mesh file's frame [m]: mesh = com frame + this."""
     collision: bytes
@@ -90,9 +84,7 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return "; ".join((*self._parts_notes(), *notes))
 
     def _parts_notes(self) -> Iterator[str]:
-        if self.collision_source not in (OWN_HULL, COACD):
-            yield f"its convex parts are not as fine as they should be ({self.collision_source})"
-        elif not PartsFit(self.filled, self.bare).is_good:
+        if not PartsFit(self.filled, self.bare).is_good:
             yield (
                 f"its convex parts fill the room in front of {100 * self.filled:.0f} % of its surface, and "
                 f"leave {100 * self.bare:.0f} % of it out, where grasps may be lost"
@@ -205,13 +197,9 @@ def _extents(shape: ObjectShape) -> Floats:
 
 
 MOST_NAME_BYTES = 200  # Longest name of a file that travels
-FLEET_LIMITS = ProcessLimits(120.0, 4_000_000_000)
-"""Limits of a shape that one of many workers builds."""
-OWN_LIMITS = ProcessLimits(TIME_LIMIT, 1 << 40)
-"""Those of a shape that is built in the process that needs it, by the clock and with all memory there is."""
 
 
-def shape_task(spec: RunSpec, limits: ProcessLimits = FLEET_LIMITS) -> ShapeTask | None:
+def shape_task(spec: RunSpec) -> ShapeTask | None:
     """Return the task of building the shape of a spec's object.
 
     None: it is made where it is needed, an object of the catalog, or a mesh that names files by paths that no
@@ -237,8 +225,6 @@ def shape_task(spec: RunSpec, limits: ProcessLimits = FLEET_LIMITS) -> ShapeTask
         "mesh": None if spec.mesh is None else msgspec.to_builtins(spec.mesh),
         "surface": "paper" if SURFACES[spec.protocol] is paper_surface else "released",
         "surface_seed": spec.surface_seed,
-        "seconds": limits.seconds,
-        "memory": limits.memory,
         "code": building_code(),
     }
     try:
@@ -263,35 +249,36 @@ def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
     for file in task.files:
         if file_digest(folder / file.name) != file.sha256:
             raise AssetError(f"The file '{file.name}' is not the one that the shape is to be built of.")
-    draft = solid_draft(folder / task.files[0].name, task.scale, task.mesh)
-    source, parts, fit = limited_parts(draft.mesh, ProcessLimits(task.seconds, task.memory))
-    body = ObjectGeometry(
-        collision_source=source,
-        mesh=draft.mesh,
-        parts=parts,
-        com_in_mesh=draft.mesh.centre_of_mass,
-        repairs=draft.repairs,
-    )
-    return shape_of(body, task.surface, task.surface_seed, fit, thin_share(draft.mesh))
+    path = folder / task.files[0].name
+    return _judged_shape(solid_draft(path, task.scale, task.mesh), path.name, task.surface, task.surface_seed)
+
+
+def _judged_shape(
+    draft: ObjectDraft, name: str, protocol: str, seed: int, tell: Tell = ignore_progress
+) -> ObjectShape:
+    """Return the shape of a draft without faults, with the fit of its parts."""
+    body = geometry_of(draft, name, tell)
+    tell(f"comparing {counted(len(body.parts), 'convex part')} with the surface of {name}")
+    fit, thin = FingerClearance(body.mesh).fit(body.parts), thin_share(body.mesh)
+    tell(f"drawing surface points of {name}")
+    return shape_of(body, protocol, seed, fit, thin)
 
 
 def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
     """Return the shape of a spec's mesh file, from the store, or built here and put there.
 
-    A shape for which the time did not suffice is not stored, so that the next command tries again. `tell`,
-    errors and warnings are those of `read_object`.
+    `tell` is called with a sentence before each slow step. Errors and warnings are those of `read_object`.
     """
-    path, store, task = named_path(spec.object), ShapeStore(), shape_task(spec, OWN_LIMITS)
+    path, store, task = named_path(spec.object), ShapeStore(), shape_task(spec)
     if task and (known := store.get(task.key)):
         warn_of_mesh(path, known.repairs, resolution_notes(_extents(known), known.thin))
         return known
-    target = read_object(path, spec.mass, spec.scale, spec.mesh, spec.about, tell)
-    tell(f"comparing {counted(len(target.parts), 'convex part')} with the surface of {path.name}")
-    fit, thin = FingerClearance(target.mesh).fit(target.parts), thin_share(target.mesh)
-    warn_of_mesh(path, (), resolution_notes(target.mesh.extents, thin))
-    tell(f"drawing surface points of {path.name}")
-    shape = shape_of(target, spec.protocol, spec.surface_seed, fit, thin)
-    if task and not has_unfinished_parts(target.mesh):
+    tell(f"reading the mesh {path.name}")
+    draft = solid_draft(path, spec.scale, spec.mesh)
+    warn_of_mesh(path, draft.repairs)
+    shape = _judged_shape(draft, path.name, spec.protocol, spec.surface_seed, tell)
+    warn_of_mesh(path, (), resolution_notes(_extents(shape), shape.thin))
+    if task:
         store.put(task.key, pack_shape(shape))
     return shape
 

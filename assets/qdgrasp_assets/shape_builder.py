@@ -1,4 +1,4 @@
-"""The process that builds the shape of an object, within the limits of its task.
+"""The process that builds the shape of an object, within limits of time and memory.
 
 Started as `python -m qdgrasp_assets.shape_builder TASK FOLDER OUT`, with a task as MessagePack, the folder
 of its files, and the file to write: the packed shape, whole or not at all. It ends with 2 and a sentence on
@@ -24,6 +24,7 @@ from qdgrasp_assets.process_limits import end_with_parent_only, limit_memory
 from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.errors import AssetError, QdgraspError, UnreadableHere
 
+MOST_MEMORY = 4_000_000_000  # Memory that it may have [bytes], and CoACD as much again
 PREPARING_SECONDS = 600  # CPU seconds that all but the convex parts may take; a minute is long
 UNUSABLE, FAILED = 2, 1
 """Exit codes where no object can be made of the files, and where it cannot be made on this machine."""
@@ -49,7 +50,7 @@ def main() -> int:
     signal.signal(signal.SIGXCPU, _end_out_of_time)
     _, most = resource.getrlimit(resource.RLIMIT_CPU)
     resource.setrlimit(resource.RLIMIT_CPU, (PREPARING_SECONDS, most))
-    is_limit_of_task = limit_memory(task.memory)
+    is_limit_of_task = limit_memory(MOST_MEMORY)
     try:
         payload = build(task, folder)
     except (QdgraspError, MemoryError) as error:
@@ -57,7 +58,7 @@ def main() -> int:
         is_final, sentence = isinstance(error, AssetError) and not is_local, str(error)
         # readers of meshes name it in an error of their own
         if isinstance(error, MemoryError) or MemoryError.__name__ in sentence:
-            means = f"{task.memory / 1e9:.1f} GB of memory" if is_limit_of_task else "this worker's memory"
+            means = f"{MOST_MEMORY / 1e9:.1f} GB of memory" if is_limit_of_task else "this worker's memory"
             is_final, sentence = is_limit_of_task, _too_large(means)
         sys.stderr.write(f"{sentence.replace(f'{folder}{os.sep}', '')}\n")
         return UNUSABLE if is_final else FAILED

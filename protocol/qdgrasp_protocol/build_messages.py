@@ -68,10 +68,6 @@ class ShapeTask(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     surface: Literal["paper", "released"] = "paper"
     """How surface points are drawn; all protocols but `released` have those of the paper."""
     surface_seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0
-    seconds: Annotated[float, Meta(gt=0, le=1e6)]
-    """Most CPU time for the convex parts [s]."""
-    memory: Annotated[int, Meta(ge=1 << 28, le=1 << 40)]
-    """Most memory of each process that builds the shape [bytes]."""
     code: Digest
     """Digest of the code that builds it, and of the versions of its packages."""
 

@@ -17,13 +17,10 @@ import trimesh
 from qdgrasp_assets import object_shape
 from qdgrasp_assets.asset_paths import UNFINISHED
 from qdgrasp_assets.catalog import assemble_scene, build_scene, carried_hand
-from qdgrasp_assets.geometry import collision_parts
-from qdgrasp_assets.geometry.collision_parts import ProcessLimits
 from qdgrasp_assets.geometry.mesh import parts_to_obj
 from qdgrasp_assets.geometry.surface_points import SURFACES
 from qdgrasp_assets.object_model import read_object
 from qdgrasp_assets.object_shape import (
-    FLEET_LIMITS,
     ObjectShape,
     ShapeStore,
     build_shape,
@@ -43,7 +40,6 @@ Changes = dict[str, Any]
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(collision_parts, "_unfinished", {})
     return tmp_path / "cache"
 
 
@@ -157,12 +153,12 @@ def test_a_scene_has_the_same_bytes_whether_its_shape_is_built_here_or_elsewhere
     spec = mesh_spec(tmp_path, name, **values)
     plain = pack_scene(scene_of_model(spec))
     assert pack_scene(build_scene(spec)).digest == plain.digest
-    monkeypatch.setattr(object_shape, "read_object", None)
+    monkeypatch.setattr(object_shape, "geometry_of", None)
     assert pack_scene(build_scene(spec)).digest == plain.digest
+    monkeypatch.undo()
     monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "another"))
     shape = built_elsewhere(spec, tmp_path / "elsewhere")
     assert pack_scene(assemble_scene(spec, shape)).digest == plain.digest
-    assert not (tmp_path / "another").exists()
 
 
 OTHERS: dict[str, Changes] = {
@@ -175,8 +171,7 @@ OTHERS: dict[str, Changes] = {
 
 def test_the_key_is_another_for_all_that_the_shape_depends_on(tmp_path, monkeypatch):
     spec = mesh_spec(tmp_path)
-    limits = [FLEET_LIMITS, ProcessLimits(60.0, FLEET_LIMITS.memory), ProcessLimits(120.0, 1 << 30)]
-    tasks = [shape_task(spec, each) for each in limits]
+    tasks = [shape_task(spec)]
     tasks += [shape_task(msgspec.structs.replace(spec, **values)) for values in OTHERS.values()]
     monkeypatch.setattr(object_shape, "building_code", lambda: "0" * 64)
     tasks.append(shape_task(spec))
@@ -242,19 +237,6 @@ def test_a_shape_warns_of_sheets_and_beads_that_the_simulator_does_not_resolve(t
     assert re.match(r"9\d % of its surface is of walls thinner than 2 mm", warnings["sheet"])
     assert "it is 4.0 mm large, smaller than the cells of 10 mm" in warnings["bead"]
     assert "as if it were 6.0 mm large" in warnings["bead"]
-
-
-def test_parts_for_which_time_ran_out_are_not_kept(tmp_path, cache, monkeypatch):
-    coarse = collision_parts.hull(angle().vertices)
-
-    def decompose(_mesh: Any, name: str, threshold: float, _limit: float) -> Any:
-        if threshold == collision_parts.COACD_THRESHOLDS[0]:
-            return (coarse,)
-        raise collision_parts.DecompositionTimeout(name, 1.0)
-
-    monkeypatch.setattr(collision_parts, "decompose", decompose)
-    assert build_scene(mesh_spec(tmp_path, "angle")).object.collision_source == "coacd"
-    assert not (cache / "shapes").exists()
 
 
 @pytest.fixture(scope="module")

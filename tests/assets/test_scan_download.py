@@ -191,7 +191,7 @@ def test_a_fetched_scan_that_is_not_convex_is_decomposed(site, monkeypatch):
     monkeypatch.setitem(SCANS, NAME, ycb.Scan(archive=ARCHIVE, member=MEMBER, **of(ring)))
     site.content = tgz(ply(ring))
     bring(site)
-    assert collision_parts.available_parts(ycb.read_fetched(NAME)) is None
+    assert collision_parts.known_parts(ycb.read_fetched(NAME)) is None
     assert any("not found yet" in fact for fact in check(NAME).facts)
     target = ycb.read_scan(NAME, "paper")
     assert target.collision_source == "coacd"

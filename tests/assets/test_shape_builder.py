@@ -12,15 +12,14 @@ from qdgrasp_assets.object_shape import build_shape, pack_shape, shape_task
 from qdgrasp_assets.shape_builder import FAILED, UNUSABLE
 from qdgrasp_protocol.build_messages import ShapeTask
 
-MEMORY = 1 << 29
-GREEDY = f"bytearray({2 * MEMORY})"
+GREEDY = "bytearray(1 << 30)"
 READER = "(_ for _ in ()).throw(builder.AssetError('it cannot be read: MemoryError'))"
 SCARCE = "(_ for _ in ()).throw(MemoryError())\nbuilder.limit_memory = lambda _: False"
 LACKING = "(_ for _ in ()).throw(builder.UnreadableHere('a package is lacking'))"
 BUSY = "sum(1 for _ in iter(int, 1))"
 REPLACED = """
 import sys, qdgrasp_assets.shape_builder as builder
-builder.PREPARING_SECONDS = 1
+builder.PREPARING_SECONDS, builder.MOST_MEMORY = 1, 1 << 29
 builder.build_shape = lambda *_: {}
 sys.exit(builder.main())
 """
@@ -39,7 +38,7 @@ class ShapeBuild:
         spec = mesh_spec(folder, mesh)
         task = shape_task(spec)
         assert task is not None
-        self.task: ShapeTask = msgspec.structs.replace(task, memory=MEMORY)
+        self.task: ShapeTask = task
         self.files, self.out = folder_of(task, spec, folder / "files"), folder / "out"
         (folder / "task").write_bytes(msgspec.msgpack.encode(self.task))
         self._names = [str(folder / "task"), str(self.files), str(self.out)]

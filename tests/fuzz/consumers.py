@@ -104,8 +104,6 @@ CONSUMERS: dict[str, Consumer] = {
 SHAPE_TASK = ShapeTask(
     files=(MeshFile(name="mesh.stl", sha256="0" * 64, size=84),),
     mesh=MeshPreparation(simplify=100),
-    seconds=120.0,
-    memory=1 << 30,
     code="1" * 64,
 )
 

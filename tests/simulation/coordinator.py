@@ -49,7 +49,7 @@ def not_now() -> None:
 def shape_task(run: str) -> ShapeTask:
     """The build of the shape that a run waits for."""
     mesh = MeshFile(name="mesh.stl", sha256=hashlib.sha256(run.encode()).hexdigest(), size=1)
-    return ShapeTask(files=(mesh,), seconds=10.0, memory=1 << 30, code=BUILDING_CODE)
+    return ShapeTask(files=(mesh,), code=BUILDING_CODE)
 
 
 class SimulatedLoader(RunQueue):

@@ -2,28 +2,22 @@
 
 One hull where that will do, else what CoACD finds, coarse to fine
 (docs/decisions/0008-collision-decomposition.md). A finger cannot reach space that the parts fill beyond the
-mesh: most grasps of a mug need its hollow and the eye of its handle. CoACD runs in a process of its own,
-which can be given up; run as a module (`python -m qdgrasp_assets.geometry.collision_parts IN.npz
-THRESHOLD OUT.obj [SECONDS MEMORY]`) this is that process. Where it has limits, and cannot keep them, coarser
-parts are taken (`limited_parts`).
+mesh: most grasps of a mug need its hollow and the eye of its handle. The parts follow from the mesh alone,
+and are cached on disk as an OBJ file.
 
-Parts are cached on disk: an OBJ file that ends with the digest of what stands before, or counts as none.
-The last line is a remark, which readers of OBJ files leave aside.
+CoACD runs in a process of its own, which has a limit of CPU time and can be ended; run as a module
+(`python -m qdgrasp_assets.geometry.collision_parts IN.npz THRESHOLD OUT.obj`) this is that process.
 """
 
 import hashlib
 import logging
-import math
-import os
 import resource
 import signal
 import subprocess
 import sys
 import tempfile
-import threading
-import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
@@ -34,13 +28,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_assets.asset_paths import cache_folder, path_problem, write_whole
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj, read_parts
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, parse_parts, parts_to_obj, read_parts
 from qdgrasp_assets.geometry.primitives import heights, hull
 from qdgrasp_assets.geometry.proximity import inside_count, ray_distance
 from qdgrasp_assets.geometry.remesh import simplify_mesh
 from qdgrasp_assets.geometry.surface_points import sample_surface
-from qdgrasp_assets.process_limits import limit_memory
-from qdgrasp_protocol.errors import AssetError
+from qdgrasp_assets.process_limits import end_with_parent_only
+from qdgrasp_protocol.errors import AssetError, UnreadableHere
 
 CLEARANCE_POINTS = 10_000
 AHEAD = 3e-3  # Distance in front of the surface at which free space is checked [m]
@@ -145,54 +139,16 @@ MANY_CORNERS, SHARE = 20_000, 32
 """Corners of a part above which one in so many is looked at first: the search takes as long as there are."""
 OUTWARD_DIRECTIONS = np.array([*np.eye(3), *-np.eye(3), *product((-1.0, 1.0), repeat=3)])
 """The directions in which a part keeps its extent, in the unit cube."""
+COACD_SECONDS = 1800
+"""Most CPU time of CoACD for a mesh at one concavity [s]; a scan of 16 000 triangles takes some minutes."""
 
 
-class DecompositionTimeout(AssetError):
-    """Error of CoACD when it does not finish in time."""
-
-    def __init__(self, name: str, seconds: float) -> None:
-        super().__init__(
-            f"CoACD did not decompose the mesh '{name}' into convex parts within {seconds:g} s; simplify the "
-            "mesh, for example to 20 000 triangles."
-        )
-
-
-class DecompositionFailure(AssetError):
-    """Error of CoACD when it ends without parts; `last` is the end of what it says."""
-
-    def __init__(self, name: str, exit_code: int, last: str) -> None:
-        super().__init__(
-            f"CoACD could not decompose the mesh '{name}' into convex parts (exit code {exit_code}): "
-            f"{last or 'it says nothing'}."
-        )
-        self.is_of_memory = any(words in last for words in OUT_OF_MEMORY)
-        """True if there was not enough memory for it."""
-
-
-@dataclass(frozen=True)
-class ProcessLimits:
-    """Limits of one process of CoACD."""
-
-    seconds: float
-    """Most CPU time [s]."""
-    memory: int
-    """Most memory [bytes]."""
-
-
-OUT_OF_MEMORY = ("MemoryError", "bad_alloc", "Cannot allocate memory")
-"""Words with which a process ends that asked for more memory than it may have."""
-PATIENCE = 30  # Multiple of its limit of CPU time that a process may take by the clock
-
-
-def decompose(
-    mesh: Mesh, name: str, threshold: float, time_limit: float, limits: ProcessLimits | None = None
-) -> tuple[Mesh, ...]:
+def decompose(mesh: Mesh, name: str, threshold: float) -> tuple[Mesh, ...]:
     """Decompose a mesh into convex parts that together fill it, with few corners each.
 
     They are in the mesh's frame. `mesh` is a closed surface [m], one or several bodies,
     called `name` in errors. `threshold` is CoACD's concavity: the smaller, the more parts. Raises
-    `DecompositionTimeout` after `time_limit` [s] by the clock, or past the limit of CPU time, and
-    `AssetError` if CoACD fails.
+    `AssetError` if CoACD fails, or takes more than `COACD_SECONDS`.
     """
     if _is_dense(mesh):
         mesh = simplify_mesh(mesh, COACD_TRIANGLES)
@@ -200,31 +156,25 @@ def decompose(
         given, found = Path(folder) / "mesh.npz", Path(folder) / "parts.obj"
         np.savez(given, vertices=mesh.vertices, faces=mesh.faces)
         command = [sys.executable, "-m", __spec__.name, str(given), str(threshold), str(found)]
-        if limits is not None:
-            command += [str(math.ceil(limits.seconds)), str(limits.memory)]
-        from qdgrasp_protocol.process import ONE_THREAD  # it imports structlog, which no simulator loads
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+        if done.returncode:
+            raise _failure(name, done.returncode, done.stderr)
+        return parse_parts(found.read_text())
 
-        environment = os.environ if limits is None else os.environ | ONE_THREAD
-        pipe, null = subprocess.PIPE, subprocess.DEVNULL
-        with (
-            tempfile.TemporaryFile() as errors,  # not a pipe, which would fill while it is not read
-            subprocess.Popen(command, stdin=pipe, stdout=null, stderr=errors, env=environment) as process,
-        ):
-            try:
-                process.wait(max(0.0, time_limit))
-            except subprocess.TimeoutExpired:
-                raise DecompositionTimeout(name, time_limit) from None
-            finally:
-                process.kill()
-            if process.returncode == -signal.SIGXCPU:
-                raise DecompositionTimeout(name, time_limit if limits is None else limits.seconds)
-            if process.returncode:
-                errors.seek(0)
-                last = " ".join(errors.read().decode(errors="replace").split())[-200:]
-                raise DecompositionFailure(name, process.returncode, last)
-        if not found.is_file():
-            raise AssetError(f"CoACD found no convex parts of the mesh '{name}'.")
-        return read_parts(found)
+
+def _failure(name: str, code: int, said: bytes) -> AssetError:
+    """Return the error of CoACD that ended with an exit code, and last said this."""
+    if code == -signal.SIGXCPU:
+        return AssetError(
+            f"CoACD did not decompose the mesh '{name}' into convex parts within {COACD_SECONDS} s of CPU "
+            "time; simplify the mesh, for example to 20 000 triangles."
+        )
+    last = " ".join(said.decode(errors="replace").split())[-200:]
+    # a signal is that of a machine that is short of memory
+    return (AssetError if code > 0 else UnreadableHere)(
+        f"CoACD could not decompose the mesh '{name}' into convex parts (exit code {code}): "
+        f"{last or 'it says nothing'}."
+    )
 
 
 def simplify_part(part: Mesh) -> Mesh:
@@ -262,19 +212,21 @@ def _outermost(corners: Floats) -> list[int]:
 
 
 def main() -> None:
-    """Decompose the mesh in the first file into the last; exit when the parent process is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    if limits := [int(number) for number in sys.argv[4:]]:
-        resource.setrlimit(resource.RLIMIT_CPU, (limits[0], limits[0] + 1))
-        limit_memory(limits[1])
+    """Decompose the mesh in the first file into the last; end with the parent process."""
+    end_with_parent_only()
+    _, most = resource.getrlimit(resource.RLIMIT_CPU)
+    with suppress(ValueError):  # a lower limit is set from outside
+        resource.setrlimit(resource.RLIMIT_CPU, (COACD_SECONDS, most))
     import coacd
 
     coacd.set_log_level("error")
     given = np.load(sys.argv[1], allow_pickle=False)
     mesh = coacd.Mesh(given["vertices"], given["faces"])
     found = coacd.run_coacd(mesh, threshold=float(sys.argv[2]), mcts_iterations=COACD_ITERATIONS, seed=0)
-    Path(sys.argv[3]).write_bytes(parts_to_obj(solid_parts(points for points, _ in found)))
+    parts = tuple(solid_parts(points for points, _ in found))
+    if not parts:
+        sys.exit("it found no convex parts")
+    Path(sys.argv[3]).write_bytes(parts_to_obj(parts))
 
 
 def solid_parts(found: Iterable[ArrayLike]) -> Iterator[Mesh]:
@@ -286,192 +238,72 @@ def solid_parts(found: Iterable[ArrayLike]) -> Iterator[Mesh]:
             yield simplify_part(hull(np.asarray(points, dtype=np.float64)))
 
 
-def _end_with_parent() -> None:
-    """Exit once standard input, whose other end the parent process holds, is closed."""
-    while os.read(0, 1024):
-        pass
-    os._exit(1)
-
-
 log = logging.getLogger(__name__)
 
 COACD_THRESHOLDS = (0.1, 0.05, 0.025)
 """Concavities for CoACD, in the order tried: the first whose parts fit is taken."""
-TIME_LIMIT = 1200.0  # s, for all of them; a scan of 16 000 triangles takes some minutes
 OWN_HULL, COACD = "own hull", "coacd"  # Sources of parts
 Tell = Callable[[str], None]
-_unfinished: dict[str, tuple[Mesh, ...]] = {}
-"""Parts of meshes for which time ran out, by key; valid in this process only, not on disk."""
 
 
 def ignore_progress(_sentence: str) -> None:
     """Ignore a progress message."""
 
 
-def collision_parts(
-    mesh: Mesh, name: str, time_limit: float = TIME_LIMIT, tell: Tell = ignore_progress
-) -> tuple[str, tuple[Mesh, ...]]:
+def collision_parts(mesh: Mesh, name: str, tell: Tell = ignore_progress) -> tuple[str, tuple[Mesh, ...]]:
     """Return the source, "own hull" or "coacd", and the convex parts that stand for a mesh.
 
     `mesh` is a closed surface [m], one or several bodies, called `name` in messages. The parts are in its
-    frame, and deterministic. Where none fit, or CoACD's `time_limit` [s] runs out, the finest that were found
-    are taken, with a warning; those for which time ran out are not kept on disk. `tell` is called with a
-    sentence before each attempt. Raises `AssetError` if CoACD failed, or found nothing in time; or the parts
-    cannot be kept.
+    frame, and follow from the mesh alone. Where none fit, the finest are taken, with a warning. `tell` is
+    called with a sentence before each attempt. Raises `AssetError` if CoACD failed, or took too long.
     """
-    known = _known_parts(mesh)
-    if known is not None:
+    if known := known_parts(mesh):
         return known
-    cached = _cache_file(mesh)
     log.warning(
-        "Decomposing '%s' (%d triangles) into convex parts, once%s; this takes up to a few minutes.",
+        "Decomposing '%s' (%d triangles) into convex parts, once; this takes up to a few minutes.",
         name,
         len(mesh.faces),
-        f" again, as '{cached}' does not hold them whole" if cached.exists() else "",
     )
-    with _keeping(cached.parent, name):
-        cached.parent.mkdir(parents=True, exist_ok=True)
-    parts, is_final = _coarsest_parts(mesh, name, time_limit, tell)
-    if not is_final:
-        return COACD, _unfinished.setdefault(_cache_key(mesh), parts)
-    content = parts_to_obj(parts)
-    with _keeping(cached.parent, name):
-        write_whole(cached, content + _digest_line(content), is_synced=True)
-    return COACD, read_parts(cached)
+    content = parts_to_obj(_coarsest_parts(mesh, name, tell))
+    with suppress(OSError):  # they are found again where they cannot be kept
+        write_whole(_cache_file(mesh), content, is_synced=True)
+    return COACD, parse_parts(content.decode())
 
 
-def has_unfinished_parts(mesh: Mesh) -> bool:
-    """Return whether time ran out in this process for finer parts of a mesh."""
-    return _cache_key(mesh) in _unfinished
-
-
-def limited_parts(mesh: Mesh, limits: ProcessLimits) -> tuple[str, tuple[Mesh, ...], PartsFit]:
-    """Return the source, the convex parts that are found within limits, and their fit.
-
-    They follow from the mesh alone, nothing is cached, and are those of `collision_parts` unless the limits
-    leave no time for all attempts, or CoACD fails: then the finest that were found, else the own hull, and
-    the source says so.
-    """
-    space = FingerClearance(mesh)
-    source, parts = _parts_in_space(mesh, space, limits)
-    return source, parts, space.fit(parts)
-
-
-def _parts_in_space(
-    mesh: Mesh, space: FingerClearance, limits: ProcessLimits
-) -> tuple[str, tuple[Mesh, ...]]:
-    own, found = hull(mesh.vertices), tuple[Mesh, ...]()
-    if space.is_convex(own):
-        return OWN_HULL, (simplify_part(own),)
-    left = limits.seconds
-    for threshold in COACD_THRESHOLDS:
-        spent = _children_seconds()
-        try:
-            if left <= 0:
-                raise DecompositionTimeout("", limits.seconds)
-            found = decompose(mesh, "", threshold, PATIENCE * left, ProcessLimits(left, limits.memory))
-        except AssetError as error:
-            if found:
-                return f"{COACD}, coarse: finer parts {_reason(error, limits)}", found
-            return f"{OWN_HULL}: CoACD {_reason(error, limits)}", (simplify_part(own),)
-        if space.fit(found).is_good:
-            break
-        left -= _children_seconds() - spent
-    return COACD, found
-
-
-def _is_dense(mesh: Mesh) -> bool:
-    return len(mesh.faces) > COACD_TRIANGLES
-
-
-def _reason(error: AssetError, limits: ProcessLimits) -> str:
-    """Return why CoACD found no parts, as the end of a sentence."""
-    if isinstance(error, DecompositionTimeout):
-        return f"took more than {limits.seconds:g} s"
-    if isinstance(error, DecompositionFailure) and error.is_of_memory:
-        return f"took more than {limits.memory / 1e9:.1f} GB"
-    return "failed"
-
-
-def _children_seconds() -> float:
-    """Return the CPU time of all child processes that have ended [s]."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime
-
-
-def available_parts(mesh: Mesh) -> tuple[Mesh, ...] | None:
-    """Return the parts of `collision_parts` if that takes no time; None: CoACD has not run yet."""
-    known = _known_parts(mesh)
-    return None if known is None else known[1]
-
-
-def _known_parts(mesh: Mesh) -> tuple[str, tuple[Mesh, ...]] | None:
-    """Return source and parts that CoACD need not run for: found before, or the mesh's own hull."""
-    file, key = _cache_file(mesh), _cache_key(mesh)
-    if not path_problem(file) and _is_whole(file):
+def known_parts(mesh: Mesh) -> tuple[str, tuple[Mesh, ...]] | None:
+    """Return what `collision_parts` does if that takes no time; None: CoACD has not run yet."""
+    if not path_problem(file := _cache_file(mesh)):
         return COACD, read_parts(file)
-    if key in _unfinished:
-        return COACD, _unfinished[key]
     own = hull(mesh.vertices)
     # convex for a finger: the hull leaves the same free space
     return (OWN_HULL, (simplify_part(own),)) if FingerClearance(mesh).is_convex(own) else None
 
 
-def _coarsest_parts(mesh: Mesh, name: str, time_limit: float, tell: Tell) -> tuple[tuple[Mesh, ...], bool]:
-    """Return the fewest parts that fit, or the last found; and whether there was time for all."""
-    space, deadline = FingerClearance(mesh), time.monotonic() + time_limit
-    found: tuple[Mesh, ...] = ()
-    is_final, reason = True, "finer ones are not tried"
+def _coarsest_parts(mesh: Mesh, name: str, tell: Tell) -> tuple[Mesh, ...]:
+    """Return the fewest parts that fit, or the last found."""
+    space = FingerClearance(mesh)
     for number, threshold in enumerate(COACD_THRESHOLDS, start=1):
         tell(
             f"splitting {name} into convex parts with a concavity of {threshold:g} ({number} of at most "
             f"{len(COACD_THRESHOLDS)} tries)"
         )
-        try:
-            found = decompose(mesh, name, threshold, deadline - time.monotonic())
-        except DecompositionTimeout:
-            if not found:
-                raise DecompositionTimeout(name, time_limit) from None
-            is_final, reason = False, "there was no time for finer ones, which the next command tries again"
-            break
-        if space.fit(found).is_good:
-            return found, True
-    fit = space.fit(found)
+        found = decompose(mesh, name, threshold)
+        fit = space.fit(found)
+        if fit.is_good:
+            return found
     log.warning(
         "The %d convex parts of '%s' fill the room in front of %.0f %% of its surface, and leave %.0f %% "
-        "of it out, where grasps may be lost; %s.",
+        "of it out, where grasps may be lost; finer ones are not tried.",
         len(found),
         name,
         100 * fit.filled,
         100 * fit.bare,
-        reason,
     )
-    return found, is_final
+    return found
 
 
-@contextmanager
-def _keeping(folder: Path, name: str) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise AssetError(
-            f"The convex parts of '{name}' cannot be kept in '{folder}': {error.strerror or error}; "
-            "name another folder with QDGRASP_CACHE."
-        ) from None
-
-
-def _digest_line(content: bytes) -> bytes:
-    """Return the last line of a cached file: the digest of the lines before."""
-    return f"# sha256 {hashlib.sha256(content).hexdigest()}\n".encode()
-
-
-def _is_whole(file: Path) -> bool:
-    try:
-        content = file.read_bytes()
-    except OSError:
-        return False
-    start = content.rfind(b"#")
-    return start > 0 and content[start:] == _digest_line(content[:start])
+def _is_dense(mesh: Mesh) -> bool:
+    return len(mesh.faces) > COACD_TRIANGLES
 
 
 def _cache_file(mesh: Mesh) -> Path:

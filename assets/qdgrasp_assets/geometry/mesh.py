@@ -168,16 +168,21 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
 
 def read_parts(path: Path) -> tuple[Mesh, ...]:
     """Read the convex parts in an OBJ file, one for each group; else `AssetError`."""
-    parts = []
     try:
-        read = read_obj(path.read_text(encoding="utf-8"))
-        for group in read.groups:
-            used, local = np.unique(group, return_inverse=True)
-            parts.append(Mesh(read.vertices[used], local.reshape(-1, 3)))
+        return parse_parts(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise AssetError(f"No convex parts can be read at '{path}': {error.strerror or error}.") from None
     except (ValueError, IndexError) as error:
         raise AssetError(f"'{path}' is not an OBJ file of convex parts: {error}.") from None
+
+
+def parse_parts(text: str) -> tuple[Mesh, ...]:
+    """Return the convex parts in an OBJ text, one for each group; errors of `read_obj`."""
+    read = read_obj(text)
+    parts = []
+    for group in read.groups:
+        used, local = np.unique(group, return_inverse=True)
+        parts.append(Mesh(read.vertices[used], local.reshape(-1, 3)))
     return tuple(parts)
 
 

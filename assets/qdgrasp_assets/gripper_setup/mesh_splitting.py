@@ -12,7 +12,6 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from qdgrasp_assets.geometry.collision_parts import (
-    DecompositionTimeout,
     FingerClearance,
     Tell,
     decompose,
@@ -74,7 +73,6 @@ def is_solid(corners: Floats) -> bool:
 
 THRESHOLDS = (0.2, 0.1, 0.05)
 """Concavities for CoACD, in the order tried: the first whose parts leave the room is taken."""
-TIME_LIMIT = 600.0  # Time limit of CoACD for one mesh at one concavity, by the clock [s]
 MILLIMETRES = 0.001
 FEW_TRIANGLES = 4000  # Triangles above which a mesh is thinned before it is split
 NEAR_VERTICES = 1.5e-3  # Vertices of such a mesh that are in the same cube of this size become one [m]
@@ -84,14 +82,13 @@ class MeshSplitter:
     """Rewrites the collision meshes of a hand.
 
     The new meshes go to `folder`, relative to the URDF that will be written. `tell` is called with a sentence
-    before each slow step. CoACD has `time_limit` [s] for each.
+    before each slow step.
     """
 
-    def __init__(self, hand: Urdf, folder: str, tell: Tell, time_limit: float = TIME_LIMIT) -> None:
+    def __init__(self, hand: Urdf, folder: str, tell: Tell) -> None:
         self._hand = hand
         self._folder = folder
         self._tell = tell
-        self._time_limit = time_limit
         self.files: dict[str, bytes] = {}
         """Contents by the path that the URDF to be written names them with."""
         self._done: dict[tuple[str, str], tuple[str, str]] = {}
@@ -172,21 +169,14 @@ class MeshSplitter:
             return own, "" if is_read else "was made a convex hull, as the simulator reads no such file"
         self._tell(f"splitting the mesh '{name}' of the link '{link}' into convex parts")
         thin, percent = thin_mesh(mesh), f"{100 * filled:.0f} %"
-        found, more = tuple[Mesh, ...](), ""
-        try:
-            for threshold in THRESHOLDS:
-                found = decompose(thin, name, threshold, self._time_limit)
-                left = clearance.fit(found).filled
-                if left <= MUCH_FILLED:
-                    break
-        except DecompositionTimeout:
-            if not found:
-                words = f"stays a hull that fills the room before {percent} of its surface"
-                return own, f"{words}: no parts were found in time"
-            more = "; no finer ones were found in time"
+        for threshold in THRESHOLDS:
+            found = decompose(thin, name, threshold)
+            left = clearance.fit(found).filled
+            if left <= MUCH_FILLED:
+                break
         return found, (
             f"was split into {len(found)} convex parts: its hull would fill the room before {percent} of its "
-            f"surface, they fill {100 * left:.0f} %{more}"
+            f"surface, they fill {100 * left:.0f} %"
         )
 
     def _hulls_of(self, name: str, element: ET.Element, mesh: Mesh) -> tuple[Mesh, ...]:

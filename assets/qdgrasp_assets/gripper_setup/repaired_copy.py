@@ -21,7 +21,7 @@ from qdgrasp_assets.geometry.collision_parts import Tell
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
 from qdgrasp_assets.gripper_setup.draft import CENTRE, DraftOverrides, draft_axis, draft_closing
-from qdgrasp_assets.gripper_setup.mesh_splitting import TIME_LIMIT, MeshSplitter
+from qdgrasp_assets.gripper_setup.mesh_splitting import MeshSplitter
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
 from qdgrasp_assets.grippers.hand_model import contradicted_limits, read_hand_model
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf
@@ -78,15 +78,15 @@ RepairedHand = tuple[ET.Element, dict[str, bytes], tuple[str, ...]]
 """A repaired `<robot>`, its meshes by path, and the changes in words."""
 
 
-def repair(robot: Urdf, base: str, folder: str, tell: Tell, time_limit: float = TIME_LIMIT) -> RepairedHand:
+def repair(robot: Urdf, base: str, folder: str, tell: Tell) -> RepairedHand:
     """Repair the hand from link `base` on, of a URDF whose links and joints are one tree.
 
     Meshes will lie in `folder`, relative to the URDF that will be written. `tell` is called with a sentence
-    before each slow step, for which CoACD has `time_limit` [s]. Raises `AssetError` if a mesh is missing or
+    before each slow step. Raises `AssetError` if a mesh is missing or
     cannot be read, or CoACD failed.
     """
     hand = replace(robot, element=robot.subtree(base).element)
-    splitter = MeshSplitter(hand, folder, tell, time_limit)
+    splitter = MeshSplitter(hand, folder, tell)
     changes = [*_joints(hand.path, hand.element), *_shapes(hand.element), *splitter.repair()]
     changes += splitter.copy_visuals()
     changes += weigh(parse_robot(hand.path, hand.element), splitter)
@@ -235,7 +235,6 @@ def repaired_copy(
     may_centre: bool,
     overrides: DraftOverrides | None = None,
     as_it_is: bool = False,
-    time_limit: float = TIME_LIMIT,
 ) -> Iterator[RepairedCopy]:
     """Write a repaired copy of the hand from link `base` on, beside the gripper's file `toml`.
 
@@ -243,8 +242,7 @@ def repaired_copy(
 
     It replaces an older copy at once. Where the with-block fails, the older files are restored.
     `tell` is called before each slow step. With `may_centre` another base link is put before `base` where the
-    fingers close beside its line of approach, with the `overrides` that the draft of its file will have. A
-    hollow mesh stays a hull where CoACD takes more than `time_limit` [s] by the clock at one concavity.
+    fingers close beside its line of approach, with the `overrides` that the draft of its file will have.
     Raises `AssetError` if a mesh is missing or cannot be read, CoACD failed, or the copy cannot be written;
     or another file is in its place; and the errors of `draft_gripper`.
     """
@@ -257,12 +255,9 @@ def repaired_copy(
         for each in (new, old, failed):
             each.mkdir()
         with _writing(urdf):
-            if as_it_is:
-                repaired = transcribe(robot, base, names[1])
-            else:
-                repaired = repair(robot, base, names[1], tell, time_limit)
+            copied = transcribe(robot, base, names[1]) if as_it_is else repair(robot, base, names[1], tell)
             origin = robot.path.name
-            copy = _write_copy(repaired, base, new / urdf.name, origin)
+            copy = _write_copy(copied, base, new / urdf.name, origin)
             centred = centre_base(copy.robot, base, overrides or DraftOverrides()) if may_centre else None
             if centred is not None:
                 _write_urdf(centred.robot.element, new / urdf.name, origin)

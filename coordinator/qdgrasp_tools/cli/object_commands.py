@@ -11,9 +11,9 @@ import typer
 from qdgrasp_assets.asset_paths import named_path, path_problem
 from qdgrasp_assets.asset_report import ObjectReport, inspect_object
 from qdgrasp_assets.catalog import object_names
-from qdgrasp_assets.geometry.collision_parts import TIME_LIMIT, ignore_progress
+from qdgrasp_assets.geometry.collision_parts import ignore_progress
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
-from qdgrasp_assets.object_model import ObjectDraft, object_of_mesh, read_draft
+from qdgrasp_assets.object_model import ObjectDraft, ObjectModel, file_facts, geometry_of, read_draft
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import echo
@@ -54,9 +54,6 @@ def check(
     no_parts: Annotated[
         bool, typer.Option("--no-parts", help="Do not look for convex parts, which may take minutes.")
     ] = False,
-    time_limit: Annotated[
-        float, typer.Option(metavar="SECONDS", min=1, help="How long convex parts are looked for.")
-    ] = TIME_LIMIT,
     as_json: options.Json = False,
 ) -> None:
     """Say what an object of your own is, what was repaired, and what is wrong with it.
@@ -86,7 +83,6 @@ def check(
             mass=mass,
             glued=glued,
             parts=not no_parts,
-            time_limit=time_limit,
             tell=tell,
         )
     asset_commands.print_findings(found, as_json=as_json)
@@ -120,7 +116,8 @@ def _made(
 
 def _drawn(found: ObjectReport, draft: ObjectDraft, path: Path, folder: Path) -> Path:
     if found.convex is not None:
-        body = object_of_mesh(draft.mesh, path, found.mass or 1.0)
+        facts = file_facts(path, found.mass or 1.0)
+        body = ObjectModel(**vars(facts), **vars(geometry_of(draft, path.name)))
         return asset_commands.draw_asset(body, path.name, folder)
     from qdgrasp_tools.rendering.drawings import draw_mesh  # matplotlib takes its time to import
 

@@ -11,27 +11,24 @@ from qdgrasp_assets.geometry.collision_parts import (
     COACD_THRESHOLDS,
     CORNER_TOLERANCE,
     MOST_CORNERS,
-    DecompositionTimeout,
     FingerClearance,
-    ProcessLimits,
-    available_parts,
     collision_parts,
     decompose,
-    limited_parts,
+    known_parts,
     simplify_part,
 )
-from qdgrasp_assets.geometry.mesh import Mesh, parts_to_obj
+from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.primitives import box, geodesic, heights, hull
 from qdgrasp_assets.stand_ins import mug
-from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.errors import AssetError, UnreadableHere
 
 CORNERS = [(0, 0), (0.06, 0), (0.06, 0.02), (0.02, 0.02), (0.02, 0.06), (0, 0.06)]
-HALVES = (
-    box((0.06, 0.02, 0.02)).moved((0.03, 0.01, 0.01)),
-    box((0.02, 0.04, 0.02)).moved((0.01, 0.04, 0.01)),
-)
-"""Convex parts of the angle."""
-WIDE_LIMITS = ProcessLimits(60.0, 1_000_000_000)
+LIMITED = """
+from qdgrasp_assets.geometry import collision_parts
+collision_parts.COACD_SECONDS = 1
+collision_parts.main()
+"""
+"""The process of CoACD with little time."""
 CAPS = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
 
 
@@ -45,20 +42,13 @@ def angle() -> Mesh:
     return Mesh(np.array(low + high), np.array(sides + caps))
 
 
-def convex_parts(mesh, name, **options):
-    return collision_parts(mesh, name, **options)[1]
-
-
-def kept_in(cache):
-    """The file of the parts of the only mesh so far."""
-    (kept,) = (cache / "convex").iterdir()
-    return kept
+def convex_parts(mesh, name):
+    return collision_parts(mesh, name)[1]
 
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(module, "_unfinished", {})
     return tmp_path / "cache"
 
 
@@ -68,34 +58,17 @@ def test_a_convex_mesh_is_its_own_part_and_needs_no_cache(cache):
     assert not cache.exists()
 
 
-def bowed() -> Mesh:
-    """A box with a dent of 1 mm in one face: a finger does not feel it."""
-    solid = box((0.1, 0.1, 0.1))
-    dent = len(solid.vertices)
-    top = [face for face in solid.faces.tolist() if (solid.vertices[face, 2] > 0).all()]
-    rest = [face for face in solid.faces.tolist() if face not in top]
-    rim = [(face[i], face[(i + 1) % 3]) for face in top for i in range(3)]
-    outer = [edge for edge in rim if edge[::-1] not in rim]
-    faces = rest + [[a, b, dent] for a, b in outer]
-    return Mesh(np.concatenate([solid.vertices, [(0, 0, 0.049)]]), np.array(faces))
-
-
 @pytest.fixture
 def found(monkeypatch):
-    """Results of CoACD by its threshold: parts, or an error."""
-    answers: dict[float, object] = {}
+    """Results of CoACD by its threshold."""
+    answers: dict[float, tuple[Mesh, ...]] = {}
 
-    def decompose(mesh, name, threshold, time_limit, limits=None):
-        answer = answers[threshold]
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
-
-    monkeypatch.setattr(module, "decompose", decompose)
+    monkeypatch.setattr(module, "decompose", lambda _mesh, _name, threshold: answers[threshold])
     return answers
 
 
 def test_a_mesh_that_is_not_convex_is_decomposed_once(angle, cache, caplog, monkeypatch):
+    assert known_parts(angle) is None
     with caplog.at_level(logging.WARNING):
         parts = convex_parts(angle, "angle.stl")
     assert "Decomposing 'angle.stl' (20 triangles)" in caplog.text
@@ -107,38 +80,6 @@ def test_a_mesh_that_is_not_convex_is_decomposed_once(angle, cache, caplog, monk
     monkeypatch.setattr(module, "decompose", None)
     again = convex_parts(angle, "angle.stl")
     assert all((a.vertices == b.vertices).all() for a, b in zip(parts, again, strict=True))
-
-
-def test_parts_within_wide_limits_are_those_of_a_single_run_and_not_cached(angle, cache, monkeypatch):
-    source, parts, fit = limited_parts(angle, WIDE_LIMITS)
-    assert (source, fit.is_good) == ("coacd", True)
-    assert not cache.exists()
-    assert parts_to_obj(parts) == parts_to_obj(convex_parts(angle, "angle"))
-    source, parts, fit = limited_parts(bowed(), WIDE_LIMITS)
-    assert (source, fit.is_good) == ("own hull", True)
-    assert parts_to_obj(parts) == parts_to_obj(convex_parts(bowed(), "dented"))
-
-
-@pytest.mark.parametrize(
-    ("program", "source"),
-    [
-        ("while True: pass", "took more than 1 s"),
-        ("bytearray(1 << 31)", "took more than 0.5 GB"),
-        ("raise MemoryError", "took more than 0.5 GB"),
-        ("import os; os.abort()", "failed"),
-        ("raise ValueError", "failed"),
-        ("", "failed"),
-    ],
-)
-def test_where_coacd_cannot_keep_its_limits_the_own_hull_is_taken_and_says_why(
-    angle, tmp_path, monkeypatch, program, source
-):
-    (tmp_path / "coacd.py").write_text(program)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    found, (part,), fit = limited_parts(angle, ProcessLimits(1.0, 1 << 29))
-    assert found == f"own hull: CoACD {source}"
-    assert part.volume == pytest.approx(hull(angle.vertices).volume)
-    assert fit.filled > 0.1
 
 
 @pytest.mark.slow
@@ -159,53 +100,25 @@ def test_the_coarsest_parts_that_fit_are_taken(found):
     assert len(convex_parts(surface, "mug")) == len(own)
 
 
-DAMAGE = {
-    "empty": lambda content: b"",
-    "cut in its middle": lambda content: content[: len(content) // 2],
-    "cut between two parts": lambda content: content[: content.index(b"o part_1")],
-    "without its last line": lambda content: content[: content.index(b"#")],
-    "another number": lambda content: content.replace(b"v 0", b"v 1", 1),
-    "zeros of a power cut": lambda content: bytes(len(content)),
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
-def test_parts_that_are_not_whole_are_made_again_with_a_word(found, angle, cache, caplog, damage):
-    found[COACD_THRESHOLDS[0]] = HALVES
-    parts, kept = convex_parts(angle, "angle"), kept_in(cache)
-    whole = kept.read_bytes()
-    kept.write_bytes(damage(whole))
-    assert kept.read_bytes() != whole
-    assert available_parts(angle) is None
-    with caplog.at_level(logging.WARNING):
-        again = convex_parts(angle, "angle")
-    assert f"once again, as '{kept}' does not hold them whole" in caplog.text
-    assert all((a.vertices == b.vertices).all() for a, b in zip(parts, again, strict=True))
-    assert kept.read_bytes() == whole
-
-
-def test_where_time_runs_out_the_finest_found_serve_this_process_and_the_next_one_tries_again(
-    found, cache, caplog, monkeypatch
+@pytest.mark.parametrize(
+    ("program", "error", "words"),
+    [
+        ("while True: pass", AssetError, r"'angle\.stl' into convex parts within 1 s of CPU time; simplify"),
+        ("import os; os.abort()", UnreadableHere, "exit code -6"),
+        ("raise ValueError('flat')", AssetError, "ValueError: flat"),
+    ],
+)
+def test_where_coacd_fails_or_takes_too_long_it_is_said(
+    angle, cache, tmp_path, monkeypatch, program, error, words
 ):
-    surface, own = mug()
-    coarse = hull(surface.vertices)
-    found.update({COACD_THRESHOLDS[0]: (coarse,), COACD_THRESHOLDS[1]: DecompositionTimeout("mug", 1.0)})
-    with caplog.at_level(logging.WARNING):
-        assert convex_parts(surface, "mug", time_limit=0.0) == (coarse,)
-    assert "no time for finer ones" in caplog.text
-    assert not list((cache / "convex").iterdir())
-    found.clear()
-    assert convex_parts(surface, "mug") == (coarse,)
-    monkeypatch.setattr(module, "_unfinished", {})
-    found[COACD_THRESHOLDS[0]] = own
-    assert len(convex_parts(surface, "mug")) == len(own)
-    assert len(list((cache / "convex").iterdir())) == 1
-
-
-def test_a_decomposition_that_takes_too_long_is_an_error_that_says_what_to_do(angle, cache):
-    with pytest.raises(AssetError, match=r"'angle.stl' into convex parts within 0.01 s; simplify the mesh"):
-        convex_parts(angle, "angle.stl", time_limit=0.01)
-    assert not list((cache / "convex").iterdir())
+    (tmp_path / "coacd.py").write_text(program)
+    (tmp_path / "limited.py").write_text(LIMITED)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(module.__spec__, "name", "limited")
+    monkeypatch.setattr(module, "COACD_SECONDS", 1)
+    with pytest.raises(error, match=words):
+        convex_parts(angle, "angle.stl")
+    assert not cache.exists()
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 1, 2), (1, 1, 0.1)])
@@ -229,7 +142,7 @@ def test_coacd_is_given_a_dense_mesh_simplified(tmp_path, monkeypatch) -> None:
     for subdivisions in (30, 60):
         ball = geodesic(0.05, subdivisions)
         with pytest.raises(AssetError, match=r"exit code 1\): \d+") as failed:
-            decompose(ball, "ball", 0.1, time_limit=60.0)
+            decompose(ball, "ball", 0.1)
         given[len(ball.faces)] = int(str(failed.value).rpartition(" ")[2].rstrip("."))
     (few, kept), (many, simplified) = given.items()
     assert kept == few < module.COACD_TRIANGLES < many

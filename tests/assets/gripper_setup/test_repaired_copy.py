@@ -108,14 +108,6 @@ def test_a_hollow_mesh_is_split_into_parts_that_leave_its_room(jaw_urdf, edit):
     assert examine(jaw_urdf.parent / "own.toml", "own").notes == ()
 
 
-def test_a_hollow_mesh_for_which_there_is_no_time_stays_a_hull(jaw_urdf, edit):
-    write_arch(jaw_urdf.parent / "arch.stl")
-    edit(jaw_urdf, BOX, '<mesh filename="arch.stl"/>')
-    robot, toml = read_urdf(jaw_urdf), jaw_urdf.parent / "own.toml"
-    with repaired_copy(robot, "palm", toml, lambda _: None, may_centre=False, time_limit=0.0) as copy:
-        assert "stays a hull" in copy.changes[0]
-
-
 def test_fingers_beside_the_line_of_approach_get_a_base_link_in_their_middle(jaw_urdf, edit):
     for side in ("0.045", "-0.045"):
         edit(jaw_urdf, f'xyz="0 {side} 0.041"', f'xyz="0.08 {side} 0.041"')

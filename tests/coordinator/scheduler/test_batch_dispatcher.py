@@ -408,7 +408,7 @@ CODE, OTHER_CODE = "c" * 64, "d" * 64
 
 def shape_task(name: str = "mug") -> ShapeTask:
     mesh = MeshFile(name=f"{name}.stl", sha256="0" * 64, size=1)
-    return ShapeTask(files=(mesh,), seconds=1.0, memory=1 << 30, code=CODE)
+    return ShapeTask(files=(mesh,), code=CODE)
 
 
 def with_builds(*tasks: ShapeTask, **codes: str) -> Dispatch:

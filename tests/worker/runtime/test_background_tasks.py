@@ -46,7 +46,7 @@ def mesh(tmp_path: Path) -> Path:
 def build_of(mesh: Path, code: str = "") -> Build:
     content = mesh.read_bytes()
     file = MeshFile(name="mesh.stl", sha256=hashlib.sha256(content).hexdigest(), size=len(content))
-    task = ShapeTask(files=(file,), seconds=60.0, memory=4 << 30, code=code or building_code())
+    task = ShapeTask(files=(file,), code=code or building_code())
     return Build(epoch=3, batch=bytes(16), attempt=1, join=1, task=task)
 
 

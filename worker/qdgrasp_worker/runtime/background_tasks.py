@@ -3,7 +3,7 @@
 Each task runs in a thread of its own, so that nothing waits for it; its end is reported from there. Scenes
 are fetched by digest, checked, and kept on disk. The shape of an object is built in a process of its own
 (`qdgrasp_assets.shape_builder`), from files that come over the bus: it looks into the store of this machine
-first, keeps to the task's limits, and may crash.
+first, has limits of its own, and may crash.
 """
 
 import hashlib
@@ -141,8 +141,8 @@ def result_or_error(act: Callable[[], T]) -> T | QdgraspError:
 
 
 BUILDER = [sys.executable, "-m", "qdgrasp_assets.shape_builder"]
-WALL_FACTOR, WALL_MARGIN = 30.0, 600.0
-"""A builder is ended after this multiple of the task's CPU seconds, plus a margin: it has its own limit."""
+MOST_SECONDS = 6 * 3600.0
+"""A builder is ended after this time by the clock [s]: it has its own limits of CPU time."""
 UNUSABLE = 2
 """Exit code of a builder when no object can be made of the files."""
 
@@ -228,7 +228,7 @@ class BuildAttempt:
         if self.is_stopped:
             self.process.kill()
         try:
-            _, errors = self.process.communicate(timeout=WALL_FACTOR * task.seconds + WALL_MARGIN)
+            _, errors = self.process.communicate(timeout=MOST_SECONDS)
         except subprocess.TimeoutExpired:
             self.process.kill()
             _, errors = self.process.communicate()
