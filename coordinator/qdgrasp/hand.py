@@ -1,6 +1,5 @@
-"""A hand by its name or file: its joints, its shapes as a scene, and a picture of it."""
+"""A hand by its name or file: its joints, and its shapes as a scene."""
 
-import io
 import os
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -16,13 +15,12 @@ from qdgrasp_protocol.errors import ImpossibleValue
 if TYPE_CHECKING:
     from trimesh import Scene as TrimeshScene
 
-PICTURE_WIDTH = 720  # Width of the picture in a notebook [pixels]
 AT_ORIGIN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 PROTOCOL = "paper"  # Whose carrier it is mounted on; its links and joints are the same in all
 
 
 class Hand:
-    """A gripper, as it is simulated; a notebook shows it open and closed.
+    """A gripper, as it is simulated.
 
     `gripper` is a built-in name, one on the asset path, or a gripper's TOML file, as everywhere; or the
     gripper of a scene. Raises InputError for another one, AssetError if a file cannot be used.
@@ -98,25 +96,3 @@ class Hand:
             expected = f"{len(self.opened)} finite numbers, of {', '.join(self.joint_names)}"
             raise ImpossibleValue("joints", joints, expected)
         return hand_scene(self.gripper, AT_ORIGIN, values)
-
-    def _repr_html_(self) -> str:
-        from PIL import Image
-
-        from qdgrasp_tools.rendering import drawings, html_cards
-
-        file = io.BytesIO()
-        drawings.draw_gripper(self.gripper, file)
-        picture = Image.open(file).convert("RGB")
-        picture.thumbnail((PICTURE_WIDTH, PICTURE_WIDTH), Image.Resampling.LANCZOS)
-        figures: list[html_cards.Figure] = [
-            ("root link", self.gripper.base_link),
-            ("finger joints", len(self.gripper.joints)),
-            ("finger links", ", ".join(self.gripper.finger_links)),
-            ("largest side", f"{100 * self.gripper.extent:.1f} cm"),
-        ]
-        if self.gripper.jaw:
-            figures.append(("jaw opens", f"{100 * self.gripper.jaw.opening:.1f} cm"))
-        if self.gripper.synergies:
-            figures.append(("synergies", ", ".join(synergy.name for synergy in self.gripper.synergies)))
-        figures.append(("licence", self.gripper.licence))
-        return html_cards.card(self.name, picture, figures)

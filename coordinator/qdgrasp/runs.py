@@ -1,6 +1,5 @@
 """Reads a run, its grasps and every row of its journal; and the runs of a campaign."""
 
-import io
 import os
 from collections.abc import Iterator
 from functools import cached_property
@@ -21,7 +20,6 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import check_packages
 from qdgrasp_protocol.rows import Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_folder import open_campaign
 from qdgrasp_tools.campaign.summary import RunSummary, run_summary
 from qdgrasp_tools.export.frames import frame_of
@@ -38,8 +36,8 @@ from qdgrasp_tools.export.tabular import arrow_table, load_pandas
 class Run:
     """A run's folder, for reading; each call returns what is recorded by then.
 
-    `path` is the folder; of a campaign, that of one of its runs. A notebook shows it as a picture of a few
-    grasps with its key figures. Raises ImpossibleValue if it is no path, FolderError if it holds no run.
+    `path` is the folder; of a campaign, that of one of its runs. Raises ImpossibleValue if it is no path,
+    FolderError if it holds no run.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -170,20 +168,7 @@ class Run:
         box = archive_box(self.scene, prior_of(self.spec))
         return ribs_archive(box, rows, rows["fitness"].astype(np.float64))
 
-    def _repr_html_(self) -> str:
-        from qdgrasp_tools.rendering import html_cards, views  # what draws takes its time to load
 
-        if not self._folder.has_bundle():
-            return html_cards.card(self.path.name, None, [("state", NO_SCENE)])
-        successes, summary = read_run(self._folder).rows, self.summary
-        azimuth = views.best_azimuth(self.scene, successes)
-        view = views.view_of_hands(self.scene, successes, azimuth, RUN_PIXELS)
-        title = f"{self.path.name}: {summary.gripper} on {summary.object}"
-        return html_cards.card(title, np.rint(255 * view.image).astype(np.uint8), _run_figures(summary))
-
-
-NO_SCENE = "its scene is not built yet"
-RUN_PIXELS = 360  # Width and height of the picture of a run in a notebook
 FIGURES = (
     *("gripper", "object", "method", "protocol", "engine", "seed", "evaluations", "budget", "successes"),
     *("cells", "grasps", "robust", "success_share", "complete"),
@@ -191,24 +176,11 @@ FIGURES = (
 """The key figures of a run, by the names that `RunSummary` explains."""
 
 
-def _run_figures(summary: RunSummary) -> list[tuple[str, object]]:
-    """Return the key figures of a run as a person reads them."""
-    share = "" if summary.success_share is None else f" ({summary.success_share:.0%} of evaluations)"
-    return [
-        ("method", f"{summary.method}, seed {summary.seed}"),
-        ("protocol", f"{summary.protocol}, {summary.engine}"),
-        ("evaluations", f"{summary.evaluations:,} of {summary.budget:,}"),
-        ("successes", f"{summary.successes:,}{share} in {summary.cells:,} cells"),
-        ("grasps", f"{summary.grasps:,}, {summary.robust:,} robust"),
-        ("state", (summary.finished or "complete") if summary.complete else "unfinished"),
-    ]
-
-
 class CampaignRuns:
     """The runs of a campaign's folder, for reading: iterated by object and hand, one at a time.
 
-    Only the names of the runs are in memory. A notebook shows the first dozen with their objects. Raises
-    ImpossibleValue if `path` is no path, FolderError if there is no campaign in it.
+    Only the names of the runs are in memory. Raises ImpossibleValue if `path` is no path, FolderError if it
+    holds no campaign.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -246,43 +218,6 @@ class CampaignRuns:
         pandas = load_pandas()
         lines = [{name: getattr(run.summary, name) for name in FIGURES} for run in self]
         return pandas.DataFrame(lines, index=pandas.Index(self.names, name="run"), columns=list(FIGURES))
-
-    def _repr_html_(self) -> str:
-        from html import escape
-
-        from qdgrasp_tools.rendering import html_cards  # what draws takes its time to load
-
-        lines = []
-        for name in self.names[:SHOWN_RUNS]:
-            run = self[name]
-            if not run._folder.has_bundle():
-                lines.append(["", escape(name), NO_SCENE])
-                continue
-            summary = run.summary
-            figures = (f"{summary.evaluations:,}", f"{summary.grasps:,}", f"{summary.robust:,}")
-            names = (Path(summary.object).stem, Path(summary.gripper).stem)
-            words = (name, *names, summary.method, str(summary.seed), *figures)
-            lines.append([_object_html(run), *map(escape, words)])
-        total = counted(len(self), "run")
-        first = f", the first {SHOWN_RUNS}" if len(self) > SHOWN_RUNS else ""
-        table = html_cards.table(RUN_HEAD, lines)
-        return f"<div><b>{escape(self.path.name)}</b>: {total}{first}{table}</div>"
-
-
-SHOWN_RUNS = 12  # Runs of a campaign that a notebook shows
-OBJECT_PIXELS = 56  # Width and height of the picture of an object in it
-RUN_HEAD = ("", "run", "object", "gripper", "method", "seed", "evaluations", "grasps", "robust")
-
-
-def _object_html(run: Run) -> str:
-    """Return a small picture of a run's object."""
-    from PIL import Image
-
-    from qdgrasp_tools.rendering import html_cards, views
-
-    drawn = Image.open(io.BytesIO(views.object_picture(run.scene, OBJECT_PIXELS)))
-    ground = Image.new("RGBA", drawn.size, "white")
-    return html_cards.picture_html(Image.alpha_composite(ground, drawn), run.spec.object)
 
 
 def open(path: str | os.PathLike[str]) -> Any:  # noqa: A001  # said as qdgrasp.open

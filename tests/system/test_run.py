@@ -122,8 +122,6 @@ def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp,
         (("--protocol", "paper"), "Unknown protocol with trials 'paper'. Known: robust."),
         (("--top", "0"), "--top"),
         (("--trials", "0"), "--trials"),
-        (("--object-pose", "0,0,0"), "add --discard-table"),
-        (("--discard-table", "--object-pose", "north"), "a quaternion x,y,z,w or angles"),
         (("--out", "taken"), "holds other files"),
     ],
 )

@@ -127,20 +127,6 @@ class HandGeometry:
             frame = frames[shape.link]
             yield shape, shape.vertices @ frame[:3, :3].T + frame[:3, 3]
 
-    def lowest_points(self, base_to_object: Floats, joints: Floats, up: Floats) -> Floats:
-        """Return the least component of each hand's shapes along `up`: (n,) [m].
-
-        `base_to_object` (n, 7) and `joints` (n, j) as in `link_frames`; `up` (3,) is a unit vector there.
-        """
-        frames = self.link_frames(base_to_object, joints)
-        lowest = np.full(len(base_to_object), np.inf)
-        for shape in self.shapes:
-            frame = frames[shape.link]
-            direction = up @ frame[..., :3, :3]
-            height = (direction @ shape.vertices.T).min(axis=-1) + frame[..., :3, 3] @ up
-            lowest = np.minimum(lowest, height)
-        return lowest
-
     def box(self, links: Iterable[str], frames: dict[str, Floats]) -> tuple[Floats, Floats]:
         """The corners (3,) of the box around `links` in all of the `frames` [m]."""
         corners = [

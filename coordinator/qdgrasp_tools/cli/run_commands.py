@@ -222,15 +222,6 @@ def rerank(
     max_motion: options.MaxMotion = None,
     min_margin: options.MinMargin = None,
     min_links: options.MinLinks = None,
-    discard_table: Annotated[
-        bool, typer.Option("--discard-table", help="Leave out hands that cut a table under the object.")
-    ] = False,
-    object_pose: Annotated[
-        str | None,
-        typer.Option(
-            help="How the object stands on it: quaternion x,y,z,w or angles x,y,z [deg]; default: z up."
-        ),
-    ] = None,
     workers: options.Workers = None,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
@@ -246,19 +237,17 @@ def rerank(
 
     With two engines a trial is passed that holds in both.
 
-    Example: qdgrasp rerank runs/demo --top 50 --discard-table --object-pose 90,0,0
+    Example: qdgrasp rerank runs/demo --top 50 --resting-pose any
 
     Example: qdgrasp rerank runs/demo --engine bullet,mujoco --base physical
     """
     if protocol not in TRIAL_COUNTS:
         raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)
-    if object_pose is not None and not discard_table:
-        raise InputError("--object-pose says how the object stands on a table: add --discard-table.")
     source = RunFolder.open(directory)
     folder = out or Path("runs") / f"{source.path.absolute().name}-{protocol}"
     RunFolder.check_free(folder)
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
-    found = _grasps_of(source, (object_pose or "0,0,0") if discard_table else None, limits)
+    found = _grasps_of(source, limits)
     base, engine, ways = keys.pop("base", None), keys.pop("engine", None), keys
     if ways:
         found = ranking.reachable_grasps(source, found, **ways)
@@ -280,8 +269,8 @@ def rerank(
     print_result(begun, stop)
 
 
-def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) -> Rows:
-    """The grasps of a run within limits, clear of a table if the object stands on one."""
+def _grasps_of(source: RunFolder, limits: GraspLimits) -> Rows:
+    """The grasps of a run within limits."""
     found = ranking.read_run_grasps(source)
     if not len(found):
         raise InputError(f"{source.path} has found no grasp (fitness 1 or more) that could be scored again.")
@@ -289,16 +278,6 @@ def _grasps_of(source: RunFolder, object_pose: str | None, limits: GraspLimits) 
     if not len(found):
         reason = limits.reason(every, source.scene())
         raise InputError(f"{source.path} has no grasp within these limits: {reason}.")
-    if object_pose is not None:
-        from qdgrasp_tools.rendering.table import orientation, table_under
-
-        scene = source.scene()
-        table = table_under(scene, orientation(object_pose))
-        found = found[table.is_clear_of(scene, prior_of(source.spec), found)]
-    if not len(found):
-        raise InputError(
-            f"Every grasp in {source.path} would cut the table; turn the object with --object-pose."
-        )
     return found
 
 

@@ -1,29 +1,37 @@
 """Cards of grasps for notebooks, and scenes of trimesh."""
 
+import io
+from base64 import b64encode
 from collections.abc import Iterable
+from html import escape
 
 import numpy as np
 import trimesh
+from PIL import Image
 
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import Scene, SceneGripper
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.rows import Rows
 from qdgrasp_tools.export.frames import COM, Frame
-from qdgrasp_tools.rendering import html_cards, views
+from qdgrasp_tools.rendering import views
 
-CARD_PIXELS = 320  # Width and height of a picture
+CARD_PIXELS, CARD_COLOURS = 320, 128  # Width, height and colours of a picture: it stays below 100 kB
 FINGER_COLOUR = views.FINGER_HUES[0]
 
 
-def grasp_card(scene: Scene, rows: Rows, title: str, figures: Iterable[html_cards.Figure]) -> str:
-    """Return HTML: a picture of a few of the rows' hands as they settled, and figures."""
-    shown, picture = rows[rows["outcome"] >= Outcome.DROPPED], None
-    if len(shown):
-        view = views.view_of_hands(scene, shown, views.best_azimuth(scene, shown), CARD_PIXELS)
-        picture = np.rint(255 * view.image).astype(np.uint8)
-    return html_cards.card(title, picture, figures)
+def grasp_card(scene: Scene, rows: Rows, title: str, figures: Iterable[tuple[str, str]]) -> str:
+    """Return HTML for a notebook: a picture of a row's hand as it settled, beside names and values."""
+    view = views.view_of_hands(scene, rows, views.best_azimuth(scene, rows), CARD_PIXELS)
+    image, file = Image.fromarray(np.rint(255 * view.image).astype(np.uint8)), io.BytesIO()
+    image.quantize(CARD_COLOURS, dither=Image.Dither.NONE).save(file, format="PNG", optimize=True)
+    source = f"data:image/png;base64,{b64encode(file.getvalue()).decode()}"
+    lines = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in figures)
+    return (
+        f'<div style="display:flex;gap:16px"><img src="{source}" alt="{escape(title)}">'
+        f"<div><b>{escape(title)}</b><table>{lines}</table></div></div>"
+    )
 
 
 def grasp_scene(scene: Scene, pose: Floats, joints: Floats, frame: Frame) -> trimesh.Scene:

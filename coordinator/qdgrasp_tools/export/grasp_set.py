@@ -134,10 +134,10 @@ class Grasp(NamedTuple):
         from qdgrasp_tools.export.grasp_pictures import grasp_card  # takes its time to load
 
         grasps, row = self.grasps, self.arrays.rows[0]
-        figures: list[tuple[str, object]] = [
+        figures = [
             ("outcome", outcome_words(self.outcome)),
             ("fitness", f"{self.fitness:g} of {grasps.spec.disturbances}"),
-            ("finger links in contact", int(row["contacts"])),
+            ("finger links in contact", str(row["contacts"])),
             ("penetration", f"{1000 * row['penetration']:.2f} mm"),
         ]
         if self.trials:
@@ -490,11 +490,3 @@ class Grasps:
             )
             share = "probability of these resting poses"
             yield GraspColumn("resting_probability", self.reach.probability, share)
-
-    def _repr_html_(self) -> str:
-        from qdgrasp_tools.export.grasp_pictures import grasp_card  # takes its time to load
-
-        counts = ((each, int((self.rows["outcome"] == each).sum())) for each in reversed(Outcome))
-        figures = [(outcome_words(outcome), number) for outcome, number in counts if number]
-        title = f"{self.scene.gripper.name} on {self.scene.object.name}"
-        return grasp_card(self.scene, self.rows, title, [("grasps", len(self)), *figures])

@@ -113,7 +113,7 @@ def _trial_of(
     raise NoSuchTrial(number, trial, recorded)
 
 
-REPLAY_MODULE = "qdgrasp_worker.replay.replay"
+REPLAY_MODULE = "qdgrasp_worker.replay"
 POLL_INTERVAL = 0.05  # seconds between two looks whether it is done
 
 

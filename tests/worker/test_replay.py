@@ -16,11 +16,11 @@ from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.replay_messages import ReplayAnswer, ReplayRequest, Snapshot
 from qdgrasp_protocol.rows import GIVEN, RESULT, Outcome, Rows
+from qdgrasp_worker import replay
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.evaluation_protocols import scene_protocol
 from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.replay import replay
-from qdgrasp_worker.replay.replay import replay_evaluation, requested_grasp
+from qdgrasp_worker.replay import replay_evaluation, requested_grasp
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,0 @@
-"""Replays of single evaluations, recorded and rendered."""
