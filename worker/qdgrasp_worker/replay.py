@@ -1,4 +1,4 @@
-"""Replays one evaluation: carries it out again as it was, and records its course step by step.
+"""Replays one evaluation: carries it out again as it was, and records its course.
 
 Started as `python -m qdgrasp_worker.replay FOLDER` (`qdgrasp_protocol.replay_messages`). No shortcut
 is taken: the hand closes to the end where an evaluation would already know that it misses.

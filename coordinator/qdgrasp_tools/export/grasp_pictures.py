@@ -22,7 +22,7 @@ FINGER_COLOUR = views.FINGER_HUES[0]
 
 
 def grasp_card(scene: Scene, rows: Rows, title: str, figures: Iterable[tuple[str, str]]) -> str:
-    """Return HTML for a notebook: a picture of a row's hand as it settled, beside names and values."""
+    """Return HTML for a notebook: a picture of a row's hand as it settled, and its figures."""
     view = views.view_of_hands(scene, rows, views.best_azimuth(scene, rows), CARD_PIXELS)
     image, file = Image.fromarray(np.rint(255 * view.image).astype(np.uint8)), io.BytesIO()
     image.quantize(CARD_COLOURS, dither=Image.Dither.NONE).save(file, format="PNG", optimize=True)
