@@ -10,22 +10,19 @@ from typing import Annotated
 import msgspec
 import typer
 
-from qdgrasp_coordinator.metrics.job_status import ObjectListing, utc_now
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol import cli_support, messages
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.errors import BusError, InputError, MessageError, NoReply, Refused, UnknownName
+from qdgrasp_protocol.errors import InputError, NoReply, Refused, UnknownName
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Order, OrderReply
 from qdgrasp_protocol.session import Credentials, Role, default_endpoint, parse_endpoints
 from qdgrasp_protocol.text import printable
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.campaign.object_table import with_events
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.monitor.feed import reachable_jobs, summary_lines
 from qdgrasp_tools.monitor.job_model import JobView
-from qdgrasp_tools.monitor.records import BusRecords
 
 SESSION_SECONDS = 6.0  # seconds that a router may take to answer, over a slow link too
 
@@ -92,17 +89,6 @@ def router_endpoint(connect: str | None, security: Path | None) -> str:
     return connect or default_endpoint(encrypted=security is not None).text
 
 
-def recorded_objects(bus: Bus, view: JobView) -> Sequence[ObjectListing]:
-    """Return the objects of a job of several runs; none where no recorder answers."""
-    if view.figures.runs < 2:
-        return ()
-    try:
-        listings = BusRecords(bus).objects(view.job).objects
-    except (BusError, MessageError):
-        return ()
-    return with_events(listings, view.events, view.figures.building)
-
-
 def jobs(
     directory: JobDir = None,
     connect: cli_support.ConnectOption = None,
@@ -119,7 +105,6 @@ def jobs(
     endpoint = place.endpoint
     with open_session(endpoint, security, Role.MONITOR) as bus:
         found = place.chosen(reachable_jobs(bus))
-        objects = {job.job: recorded_objects(bus, job) for job in ([] if as_json else found)}
     if not found and place.folder is not None:
         raise place.folder.no_coordinator()
     if as_json:
@@ -127,7 +112,7 @@ def jobs(
     elif not found:
         echo(no_job_message(endpoint))
     for job in () if as_json else found:
-        for line in summary_lines(job, utc_now(), objects[job.job]):
+        for line in summary_lines(job):
             echo(printable(line))
 
 

@@ -5,26 +5,24 @@ no other process waits for it. Another thread sends the queries: a missing answe
 `query_jobs` queries once, for commands that print and end.
 """
 
-import re
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from datetime import datetime, timedelta
 from queue import SimpleQueue
 from typing import Any, Self, TypeVar
 
 import structlog
 
-from qdgrasp_coordinator.metrics.job_status import JobStatus, ObjectListing
+from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_protocol.bus import Bus, RingBuffer
 from qdgrasp_protocol.errors import BusError, InputError, MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys
-from qdgrasp_protocol.text import counted, first_few
-from qdgrasp_tools.campaign.object_table import count_states, with_events
+from qdgrasp_protocol.text import first_few
+from qdgrasp_tools.campaign.object_table import with_events
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
 from qdgrasp_tools.monitor.records import JobRecords
 
@@ -34,7 +32,7 @@ INTERVAL = 0.1  # seconds between two readings of the rings
 ANSWER_SECONDS = 1.0  # seconds that coordinators may take to answer
 OVERVIEW_SECONDS = 2.0  # seconds that they may take where commands print and end
 RECORDED_SECONDS = 5.0  # seconds between two readings of the same records
-SHOWN = 6  # The most runs and hosts that are named of each job
+SHOWN = 6  # The most hosts that are named of each job
 SUBSCRIBED_KEYS: dict[str, int] = {
     "meta": 64,
     "stat/job": 256,
@@ -191,39 +189,14 @@ def reachable_jobs(bus: Bus) -> list[JobView]:
     return query_jobs(bus).views(time.time())
 
 
-def summary_lines(view: JobView, now: datetime, objects: Sequence[ObjectListing] = ()) -> Iterator[str]:
-    """Yield a few lines about a job for a person; `now` is a time with its zone."""
+def summary_lines(view: JobView) -> Iterator[str]:
+    """Yield a few lines about a job for a person."""
     meta, figures = view.meta, view.figures
-    age = timedelta(seconds=max(0, round((now - meta.since).total_seconds())))
-    uptime = re.sub(" days?,", " d", str(age))  # 0:03:20, or 2 d 4:00:00
-    yield f"{view.job}: {view.state} on {meta.host} (process {meta.pid}, epoch {meta.epoch}) for {uptime}"
+    yield f"{view.job}: {view.state} on {meta.host} (process {meta.pid}, epoch {meta.epoch})"
     yield f"  {figures.words}, {figures.left}"
-    if figures.runs > 1:
-        runs = [f"{one.run} {one.evaluations}/{one.budget}" for one in view.runs]
-        yield f"  {counted(len(runs), 'run')} in progress" + (f": {first_few(runs, SHOWN)}" if runs else "")
-    if objects or figures.scenes:
-        yield f"  {object_words(objects, figures)}"
-    if view.workers:
-        hosts = Counter(worker.host for worker in view.workers).most_common()
-        states = sorted(Counter(worker.state for worker in view.workers).items())
-        counts = ", ".join(f"{n} {state}" for state, n in states)
-        yield f"  workers: {first_few([f'{host} {n}' for host, n in hosts], SHOWN)} ({counts})"
-    else:
-        yield "  workers: none has joined"
+    hosts = Counter(worker.host for worker in view.workers).most_common()
+    counts = ", ".join(f"{n} {state}" for state, n in Counter(each.state for each in view.workers).items())
+    words = f"{first_few([f'{host} {n}' for host, n in hosts], SHOWN)} ({counts})"
+    yield f"  workers: {words if hosts else 'none has joined'}"
     if not figures.recorders:
         yield "  no recorder is there: found rows wait for one"
-
-
-def object_words(objects: Sequence[ObjectListing], figures: JobStatus) -> str:
-    """Return how many objects are done, how many shapes are built and rows evaluated, in words."""
-    states = count_states(objects)
-    done, whole = states.pop("done", 0), len(objects) - states.get("skipped", 0)
-    little = sum(bool(each.little) for each in objects)
-    others = [f"{n} {state}" for state, n in states.items() if state in ("failed", "skipped")]
-    parts = [
-        *([", ".join([f"{done} of {counted(whole, 'object')} done", *others])] if objects else []),
-        *([f"{little} got little"] if little else []),
-        *([figures.shapes] if figures.scenes else []),
-        counted(figures.evaluations + figures.trials, "row"),
-    ]
-    return "; ".join(parts)

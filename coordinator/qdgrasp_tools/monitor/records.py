@@ -1,6 +1,6 @@
 """Records of runs: successes and scenes, over the bus or from folders at hand."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -117,19 +117,22 @@ class FolderJob:
     """A job in a folder."""
 
     folder: JobFolder
-    named: frozenset[Path] | None = None
-    """Folders of the runs that are shown; None: all, also those that begin later."""
-
-    def holds(self, path: Path) -> bool:
-        """Return whether a folder is that of a run that is shown."""
-        return (self.named is None or path.absolute() in self.named) and RunFolder.is_run(path)
+    only: Path | None = None  # Folder of the run that is shown; None: all, also those that begin later
 
     @property
     def runs(self) -> dict[str, RunFolder]:
         """Its runs by their names, printable."""
-        paths = self.folder.run_paths if self.named is None else sorted(self.named)
+        paths = self.folder.run_paths if self.only is None else [self.only]
         folders = [RunFolder(path) for path in paths if RunFolder.is_run(path)]
         return {printable(folder.run): folder for folder in folders}
+
+    def run(self, name: str) -> RunFolder:
+        """Return the folder of a run, or raise `UnknownName`."""
+        if self.only is None and NAME.fullmatch(name) and RunFolder.is_run(self.folder.run_path(name)):
+            return RunFolder(self.folder.run_path(name))  # without a look at thousands of others
+        if name not in (runs := self.runs):
+            raise UnknownName("run", name, runs)
+        return runs[name]
 
 
 class FolderIndex:
@@ -139,50 +142,31 @@ class FolderIndex:
     """
 
     def __init__(self, paths: Iterable[Path]) -> None:
-        found: dict[Path, FolderJob] = {}
-        for path in paths:
-            for folder, run in _jobs_at(path):
-                place = folder.path.resolve()
-                known = found.get(place, FolderJob(folder, frozenset()))
-                named = None if run is None or known.named is None else known.named | {run}
-                found[place] = FolderJob(known.folder if run else folder, named)
         self.jobs: dict[str, FolderJob] = {}
-        for job in found.values():
-            self.jobs[_free_name(job.folder.name, self.jobs)] = job
-
-    def job(self, name: str) -> FolderJob:
-        """Return a job, or raise `UnknownName`."""
-        if name not in self.jobs:
-            raise UnknownName("job", name, self.jobs)
-        return self.jobs[name]
+        for path in paths:
+            for job in _jobs_at(path):
+                self.jobs[_free_name(job.folder.name, self.jobs)] = job
 
     def run(self, job: str, run: str) -> RunFolder:
         """Return the folder of a run, or raise `UnknownName`."""
-        asked = self.job(job)
-        if NAME.fullmatch(run) and asked.holds(path := asked.folder.run_path(run)):
-            return RunFolder(path)  # without a look at thousands of others
-        runs = asked.runs
-        if run not in runs:
-            raise UnknownName("run", run, runs)
-        return runs[run]
+        if job not in self.jobs:
+            raise UnknownName("job", job, self.jobs)
+        return self.jobs[job].run(run)
 
 
-def _jobs_at(path: Path) -> Iterator[tuple[JobFolder, Path | None]]:
-    """Yield the jobs at a path, with the run that is named where it is one."""
+def _jobs_at(path: Path) -> list[FolderJob]:
+    """Return the jobs at a path; of a run of a campaign that run alone."""
     if JobFolder.is_job(path):
-        yield JobFolder(path), None
-        return
+        return [FolderJob(JobFolder(path))]
     if RunFolder.is_run(path):
-        yield RunFolder(path).job, path.absolute()
-        return
+        return [FolderJob(RunFolder(path).job, path.absolute())]
     outputs.check_folder(path)
     inside = sorted(each for each in path.glob("[!.]*") if JobFolder.is_job(each))
     if not inside:
         raise FolderError(
             f"{path} holds no run and no campaign, nor does a folder in it: there is no job.json."
         )
-    for each in inside:
-        yield JobFolder(each), None
+    return [FolderJob(JobFolder(each)) for each in inside]
 
 
 def _free_name(name: str, taken: dict[str, FolderJob]) -> str:

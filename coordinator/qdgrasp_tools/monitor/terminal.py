@@ -43,7 +43,7 @@ BACK_KEYS = frozenset({"a", "escape"})
 STEP_KEYS = {"up": -1, "down": 1}
 JOB_KEYS = {**STEP_KEYS, "tab": 1, "right": 1, "backtab": -1, "left": -1}
 QUIT_KEYS = frozenset({"q", "Q"})
-OBJECT_KEYS = frozenset({"s", "S", "/"})
+OBJECT_KEYS = frozenset({"s", "S"})
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,6 @@ class ScreenSelection:
     top: int = 0  # The number of the first row of that list
     sort: str = ""  # The key by which objects are sorted; empty: the order of their runs
     down: bool = False  # Whether the greatest object comes first
-    search: str = ""  # Words of the objects that are shown
-    is_typing: bool = False  # Whether keys are letters of the search
 
     def index(self, jobs: Sequence[str]) -> int:
         """Return the index of the selected job among these names."""
@@ -64,8 +62,6 @@ class ScreenSelection:
 
     def after_key(self, key: str, jobs: Sequence[str], page: int) -> "ScreenSelection":
         """Return the selection after a key; `page` is the number of rows that a list shows."""
-        if self.is_typing:
-            return self._after_letter(key)
         if self.list == "objects" and key in OBJECT_KEYS:
             return self._after_object_key(key)
         if key in LIST_KEYS:
@@ -83,31 +79,17 @@ class ScreenSelection:
         return replace(self, job=jobs[(index + step) % len(jobs)], top=self.top if not step else 0)
 
     def _after_object_key(self, key: str) -> "ScreenSelection":
-        """Return the selection after a key that sorts or searches objects."""
-        if key == "/":
-            return replace(self, is_typing=True, top=0)
+        """Return the selection after a key that sorts objects."""
         if key == "S":
             return replace(self, down=not self.down, top=0)
         orders = ["", *SORT_KEYS]
         return replace(self, sort=orders[(orders.index(self.sort) + 1) % len(orders)], top=0)
 
-    def _after_letter(self, key: str) -> "ScreenSelection":
-        """Return the selection after a key while a search is typed."""
-        if key == "enter":
-            return replace(self, is_typing=False)
-        if key == "escape":
-            return replace(self, is_typing=False, search="", top=0)
-        if key == "backspace":
-            return replace(self, search=self.search[:-1], top=0)
-        return replace(self, search=self.search + key, top=0) if len(key) == 1 else self
-
     @property
     def help(self) -> str:
         """The keys that have an effect now."""
-        if self.is_typing:
-            return "letters search  enter keep the search  escape end it"
         if self.list == "objects":
-            return "q quit  a all  s sort  S turn the order  / search  arrows scroll"
+            return "q quit  a all  s sort  S turn the order  arrows scroll"
         keys = "q quit  tab job  o objects  r runs  w workers  e events  arrows scroll"
         return f"{keys}  a all" if self.list else keys
 
@@ -248,17 +230,15 @@ def _below(view: JobView, curve: GrowthCurve | None, width: int, room: int) -> l
 
 
 def _objects(shown: ScreenState, view: JobView, choice: ScreenSelection) -> RenderableType:
-    """Return the objects of a job, as they are sorted and searched."""
+    """Return the objects of a job, as they are sorted."""
     title = f"objects of {view.job}"
     if shown.objects is None:
         words = "No recorder has told of the objects yet."
         return screen.titled(title, words if view.figures.recorders else "There is no recorder.")
-    found = select_objects(shown.objects, choice.search, choice.sort, down=choice.down)
+    found = select_objects(shown.objects, sort=choice.sort, down=choice.down)
     if choice.sort:
         title += f" by {choice.sort}{', greatest first' if choice.down else ''}"
-    if choice.search or choice.is_typing:
-        title += f"; search: {printable(choice.search)}{'_' if choice.is_typing else ''}"
-    return screen.object_list(title if found else f"{title}: none", found, choice.top)
+    return screen.object_list(title, found, choice.top)
 
 
 def report(shown: ScreenState) -> Group:
@@ -272,8 +252,7 @@ def report(shown: ScreenState) -> Group:
 
 KEYS = {
     b"\x1b[A": "up", b"\x1b[B": "down", b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b[5~": "pageup",
-    b"\x1b[6~": "pagedown", b"\x1b[Z": "backtab", b"\x1b": "escape", b"\t": "tab", b"\r": "enter",
-    b"\n": "enter", b"\x7f": "backspace", b"\b": "backspace",
+    b"\x1b[6~": "pagedown", b"\x1b[Z": "backtab", b"\x1b": "escape", b"\t": "tab",
 }  # fmt: skip
 """Bytes that terminals send for keys that are no characters, the longest first."""
 KEY = re.compile(b"|".join([*map(re.escape, KEYS), b"[ -~]"]))
@@ -345,7 +324,7 @@ def draw_screen(feed: Feed, records: RecordFeed, endpoint: str, console: Console
                 shown = replace(shown, objects=found, curve=None if choice.list else records.curve(view))
             live.update(screen_layout(shown, choice, width, height), refresh=True)
             for key in keys(DRAW_INTERVAL):
-                if key in QUIT_KEYS and not choice.is_typing:
+                if key in QUIT_KEYS:
                     return
                 choice = choice.after_key(key, shown.names, list_rows(shown, choice, height))
 
@@ -367,7 +346,7 @@ def status_lines(shown: ScreenState) -> list[str]:
         return link
     if not shown.views:
         return shown.advice.splitlines()
-    return [printable(line) for view in shown.views for line in summary_lines(view, utc_now())] + link
+    return [printable(line) for view in shown.views for line in summary_lines(view)] + link
 
 
 def screen_state(feed: Feed, endpoint: str) -> ScreenState:

@@ -54,22 +54,17 @@ class TestKeys:
         assert [after("w", *keys).top for keys in (["up"], ["pagedown", "e"])] == [0, 0]
         assert after("w", "down").job == ""
 
-    def test_keys_sort_and_search_where_objects_are_shown(self) -> None:
+    def test_keys_sort_where_objects_are_shown(self) -> None:
         assert after("o", "s").sort == "object"
         assert after("o", *(["s"] * 10)).sort == ""
         assert after("o", "S").down
-        assert after("s", "S", "/") == ScreenSelection(job="a")
-        typed = after("o", "pagedown", "/", "m", "u", "q", "2", "backspace")
-        assert (typed.search, typed.is_typing, typed.top, typed.job) == ("muq", True, 0, "")
-        assert (after("o", "/", "m", "enter").search, after("o", "/", "m", "enter").is_typing) == ("m", False)
-        assert after("o", "/", "m", "escape") == ScreenSelection(list="objects")
+        assert after("s", "S") == ScreenSelection(job="a")
 
     @pytest.mark.parametrize(
         ("sent", "found"),
         [
             (b"q", ["q"]), (b"\x1b[A\x1b[B", ["up", "down"]), (b"\x1b", ["escape"]), (b"\x00\xff", []),
             (b"\t\x1b[Z", ["tab", "backtab"]), (b"w\x1b[6~2", ["w", "pagedown", "2"]),
-            (b"\r\x7f", ["enter", "backspace"]),
         ],
     )  # fmt: skip
     def test_what_terminals_send_is_understood(self, sent: bytes, found: list[str]) -> None:
@@ -149,12 +144,6 @@ class TestObjects:
         seen = text(LIBRARY, list="objects", sort="object", down=True)
         assert "by object, greatest first" in seen
         assert seen.index("torn") < seen.index("part_39") < seen.index("part_38")
-
-    def test_a_search_shows_what_is_typed_and_what_it_leaves(self) -> None:
-        seen = text(LIBRARY, list="objects", search="remesh", is_typing=True)
-        assert "search: remesh_" in seen
-        assert "left out" in seen
-        assert "search: nothing: none" in text(LIBRARY, list="objects", search="nothing")
 
     def test_a_job_whose_objects_are_not_known_says_so(self) -> None:
         assert "No recorder has told" in text(MANY, list="objects")

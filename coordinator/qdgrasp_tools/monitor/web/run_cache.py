@@ -196,7 +196,7 @@ class RunCache:
         return msgspec.json.encode(self._curve.get())
 
     def grasp(self, number: int) -> bytes:
-        """Return JSON of the `GraspView` of a journal row."""
+        """Return JSON of the `grasp_view` of a journal row."""
         found, origin = self._success(number)
         commands = self._records.place(self._job, self._run).commands(number)
         loaded = self._scenes(origin.scene).get()

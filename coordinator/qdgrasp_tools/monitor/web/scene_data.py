@@ -72,50 +72,6 @@ class BrowserScene(Struct, frozen=True):
     origin: int = 0  # The same number as that of its voxels
 
 
-class PoseView(Struct, frozen=True):
-    """A pose of the hand's root link."""
-
-    position: Sequence[float]  # (3,): from the centre of mass [m]
-    position_in_mesh: Sequence[float]  # (3,): the same in the mesh file's frame [m]
-    quaternion: Sequence[float]  # (4,): xyzw; in both frames
-
-
-class ContactView(Struct, frozen=True):
-    """A contact after closing, object's CoM frame."""
-
-    link: str
-    finger: bool  # True if contact of this link makes a success
-    point: Sequence[float]  # (3,) [m], on the object
-    normal: Sequence[float]  # (3,), unit, into the object
-    force: float  # Along the normal [N]
-
-
-class GraspView(Struct, frozen=True):
-    """Everything known of one success."""
-
-    number: int  # In the journal
-    outcome: int
-    fitness: float
-    words: str  # Meaning of the outcome
-    eta: float | None  # The estimated probability of transfer; None where too few trials are recorded
-    trials: int  # Trials that are recorded
-    synergy: str  # Name of the synergy; empty: all driven joints close
-    cell: Sequence[int]  # (3,)
-    base: str  # The hand's root link
-    commanded: PoseView  # Before closing: with the joints `pregrasp`
-    settled: PoseView | None  # After closing: with `joints`; None where it is not recorded
-    pregrasp: dict[str, float]  # Positions of the finger joints before closing [rad or m]
-    joints: dict[str, float]  # Positions of the finger joints after closing [rad or m]
-    frames: dict[str, list[list[float]]]  # Of root and drawn links, (CLOSING_STEPS, 7): x y z [m], xyzw
-    finger_links: int  # Number of those that touch the object after closing
-    penetration: float  # The deepest after closing [m]
-    moved: float | None  # How far the object moved in the hand while it closed [m]; None as `settled`
-    turned: float | None  # How far it turned [rad]
-    margin: float | None  # None where it is not known
-    contacts: Sequence[ContactView]  # Some of them where there were many
-    commands: Sequence[str]  # Commands that show and draw it
-
-
 SHARP = np.radians(45)  # faces that meet at a sharper angle are drawn with an edge
 CLOSING_STEPS = 11  # Poses of the hand from the open one to the closed one
 SUCCESS_KINDS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
@@ -151,40 +107,47 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
 
 def grasp_view(
     find: np.void, hand: HandGeometry, scene: BrowserScene, commands: Sequence[str], margin: float = np.nan
-) -> GraspView:
-    """Return a success (a record of `storage.success_pages`) with the hand as it closes."""
+) -> dict[str, object]:
+    """Return everything known of a success, a record of `storage.success_pages`.
+
+    Lengths are in m, angles in rad and forces in N, in the object's centre-of-mass frame.
+    """
     alone = find.reshape(1)
     ends = np.concatenate([alone["base_to_object"].astype(np.float64), settled_poses(alone)])
     postures = np.array([find["pregrasp"], find["joints"]], dtype=np.float64)
     names, is_settled = [joint.name for joint in hand.gripper.joints], bool(settled_mask(alone)[0])
-    commanded, settled = (
-        PoseView(pose[:3].tolist(), (pose[:3] + scene.com_in_mesh).tolist(), pose[3:].tolist())
+    commanded, settled = (  # poses of the hand's root link, quaternions xyzw
+        {
+            "position": pose[:3].tolist(),
+            "position_in_mesh": (pose[:3] + scene.com_in_mesh).tolist(),
+            "quaternion": pose[3:].tolist(),
+        }
         for pose in ends
     )
     moved, turned = (_known(value) for value in object_motion(alone)[0])
-    return GraspView(
-        number=int(find["number"]),
-        outcome=int(find["outcome"]),
-        fitness=float(find["fitness"]),
-        words=_words(Outcome(find["outcome"])),
-        eta=float(find["eta"]) if find["eta"] >= 0 else None,
-        trials=int(find["trials"]),
-        synergy=scene.synergies[find["synergy"]] if 0 <= find["synergy"] < len(scene.synergies) else "",
-        cell=cells(find["descriptor"]).tolist(),
-        base=scene.base,
-        commanded=commanded,
-        settled=settled if is_settled else None,
-        pregrasp=dict(zip(names, postures[0].tolist(), strict=True)),
-        joints=dict(zip(names, postures[1].tolist(), strict=True)),
-        frames=_closing_frames(hand, ends, postures, {scene.base, *hand.link_meshes}),
-        finger_links=int(find["contacts"]),
-        penetration=float(find["penetration"]),
-        moved=moved,
-        turned=turned,
-        margin=_known(margin),
-        contacts=_contacts(find, hand),
-        commands=commands,
-    )
+    return {
+        "number": int(find["number"]),  # in the journal
+        "outcome": int(find["outcome"]),
+        "fitness": float(find["fitness"]),
+        "words": _words(Outcome(find["outcome"])),
+        "eta": float(find["eta"]) if find["eta"] >= 0 else None,  # None where too few trials are recorded
+        "trials": int(find["trials"]),
+        "synergy": scene.synergies[find["synergy"]] if 0 <= find["synergy"] < len(scene.synergies) else "",
+        "cell": cells(find["descriptor"]).tolist(),
+        "base": scene.base,
+        "commanded": commanded,  # before closing: with the joints `pregrasp`
+        "settled": settled if is_settled else None,  # after closing, with `joints`; None: not recorded
+        "pregrasp": dict(zip(names, postures[0].tolist(), strict=True)),
+        "joints": dict(zip(names, postures[1].tolist(), strict=True)),
+        "frames": _closing_frames(hand, ends, postures, {scene.base, *hand.link_meshes}),
+        "finger_links": int(find["contacts"]),  # number of those that touch the object after closing
+        "penetration": float(find["penetration"]),
+        "moved": moved,  # how the object moved in the hand while it closed; None as `settled`
+        "turned": turned,
+        "margin": _known(margin),  # None where it is not known
+        "contacts": _contacts(find, hand),  # some of them where there were many
+        "commands": commands,  # that show and draw it
+    }
 
 
 def _known(value: float) -> float | None:
@@ -213,11 +176,18 @@ def _as_poses(frames: Floats) -> list[list[float]]:
     return poses
 
 
-def _contacts(find: np.void, hand: HandGeometry) -> list[ContactView]:
+def _contacts(find: np.void, hand: HandGeometry) -> list[dict[str, object]]:
+    """Return the contacts after closing: points, unit normals into the object, forces."""
     gripper, values = hand.gripper, find["contact_points"].astype(float).reshape(-1, CONTACT_VALUES).tolist()
     links = [gripper.links[number - 1] if number else "" for number in find["contact_links"].tolist()]
     return [
-        ContactView(link, link in gripper.finger_links, parts[:3], parts[3:6], parts[6])
+        {
+            "link": link,
+            "finger": link in gripper.finger_links,  # whether its contact makes a success
+            "point": parts[:3],
+            "normal": parts[3:6],
+            "force": parts[6],
+        }
         for link, parts in zip(links, values, strict=True)
         if link
     ]
