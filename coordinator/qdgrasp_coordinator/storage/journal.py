@@ -10,7 +10,7 @@ import sqlite3
 import time
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -21,14 +21,17 @@ import numpy as np
 
 from qdgrasp_coordinator.storage.outputs import JOURNAL, damaged_file
 from qdgrasp_protocol.errors import DiskFull, FolderError, MessageError
-from qdgrasp_protocol.messages import Failure, Recordable, Width, deflated
+from qdgrasp_protocol.messages import Failure, Recordable, deflated
 from qdgrasp_protocol.rows import COLUMNS, Rows, RowShape, pack, unpack
 from qdgrasp_protocol.spec import RunSpec, from_toml
 from qdgrasp_protocol.text import printable
 
 APPLICATION = 0x71646772  # "qdgr"
 FORMAT = 1
-UNREADABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_NOMEM}
+UNUSABLE = {
+    *(sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_NOMEM),
+    *(sqlite3.SQLITE_READONLY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_IOERR),
+}
 NO_ROOM = {
     sqlite3.SQLITE_FULL,
     sqlite3.SQLITE_IOERR_WRITE,  # a file at its size limit, a quota
@@ -96,20 +99,20 @@ def create_tables(database: sqlite3.Connection, identity: JournalIdentity) -> No
 
 
 @contextmanager
-def explaining_read_errors(file: Path) -> Iterator[None]:
-    """Turn SQLite's errors about a file that cannot be read into `FolderError` or `DiskFull`."""
+def explaining_errors(file: Path) -> Iterator[None]:
+    """Turn SQLite's errors about a journal into `FolderError` or `DiskFull`."""
     try:
         yield
-    except sqlite3.ProgrammingError:
-        raise  # the module's own word on how it is used, such as after the end: the file is as it was
+    except (sqlite3.ProgrammingError, sqlite3.IntegrityError):
+        raise  # how it is used, such as after the end: the file is as it was
     except sqlite3.DatabaseError as error:
         code = getattr(error, "sqlite_errorcode", None)  # text that is not UTF-8 has none
         if code == sqlite3.SQLITE_NOTADB:
             raise FolderError(f"{file} is not a journal of qdgrasp.") from None
         if code in NO_ROOM:
-            raise DiskFull(f"There is no room in {file.parent} to read {file.name}: {error}.") from None
-        if code in UNREADABLE:
-            raise FolderError(f"{file} cannot be read: {error}.") from None
+            raise DiskFull(f"There is no room in {file.parent} for {file.name}: {error}.") from None
+        if code in UNUSABLE:
+            raise FolderError(f"{file} cannot be read or written: {error}.") from None
         raise damaged_file(file, str(error)) from None
 
 
@@ -197,15 +200,6 @@ class JournalMeta(msgspec.Struct):
     created: float
 
 
-class MetaShape(msgspec.Struct, forbid_unknown_fields=True):
-    """A `RowShape` in JSON."""
-
-    genes: Width
-    joints: Width
-    descriptors: Width = 3
-    contact_slots: Width = 0
-
-
 class Journal:
     """A journal to read; opened by `Journal.open`, closed by its with-block.
 
@@ -218,13 +212,12 @@ class Journal:
         self._check_format()
         try:
             meta = msgspec.convert(self._meta(), JournalMeta, strict=False)
-            shape = msgspec.json.decode(meta.shape, type=MetaShape)
-        except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+            self.shape = msgspec.json.decode(meta.shape, type=RowShape)
+        except msgspec.MsgspecError as error:
             raise damaged_file(file, printable(f"what it says of itself cannot be read ({error})")) from None
         self.run = meta.run
         self.scene = meta.scene
         """sha256 of the scene bundle."""
-        self.shape = RowShape(**msgspec.structs.asdict(shape))
         self.package = meta.package
         """The version of this package that began it."""
         self.created = meta.created
@@ -240,7 +233,7 @@ class Journal:
         file = folder / JOURNAL
         if not file.is_file():
             raise FolderError(f"{folder} holds no journal ({JOURNAL}).")
-        with explaining_read_errors(file):
+        with explaining_errors(file):
             database = _connect(file)
             try:
                 return cls(database, file)
@@ -268,12 +261,8 @@ class Journal:
     @property
     def platform(self) -> dict[str, str]:
         """The platform that the rows were made on; empty while the journal has no rows."""
-        if not self.count:
-            return {}
-        try:
-            return msgspec.json.decode(self._meta().get("platform", "{}"), type=dict[str, str])
-        except (msgspec.MsgspecError, RecursionError) as error:
-            raise damaged_file(self._file, printable(f"its platform cannot be read ({error})")) from None
+        found: dict[str, str] = json.loads(self._meta().get("platform", "{}")) if self.count else {}
+        return found
 
     @property
     def count(self) -> int:
@@ -314,10 +303,6 @@ class Journal:
         for block in self._slices(first, end):
             yield block.part(first, end).rows
 
-    def slices(self) -> Iterator[JournalSlice]:
-        """Yield all rows in order, some thousands at a time, with their cost and failures."""
-        return self._slices(0, self.count)
-
     def errors(self) -> dict[int, str]:
         """Return the reasons of rows with `Outcome.ERROR`, by row number."""
         return {int(row): str(reason) for row, reason in self._all("SELECT row, reason FROM errors")}
@@ -335,28 +320,30 @@ class Journal:
     def _slices(self, first: int, stop: int) -> Iterator[JournalSlice]:
         """The blocks that hold rows from `first` up to `stop`, checked to follow each other."""
         stop = min(stop, self.count)
-        query = """SELECT first, n, cpu_seconds, crc, rows FROM blocks WHERE first < ?
-            AND first >= (SELECT coalesce(max(first), 0) FROM blocks WHERE first <= ?) ORDER BY first"""
+        blocks = self._all(
+            """SELECT first, n, cpu_seconds, crc FROM blocks WHERE first < ?
+            AND first >= (SELECT coalesce(max(first), 0) FROM blocks WHERE first <= ?) ORDER BY first""",
+            *(stop, first),
+        )
         reasons = "SELECT row, reason FROM errors WHERE row >= ? AND row < ? ORDER BY row"
         failures = self._all(reasons, first, stop)
         expected: int | None = None
-        with explaining_read_errors(self._file), self._reading(query, stop, first) as found:
-            for number, n, cpu_seconds, crc, blob in found:
-                follows = 0 <= number <= first if expected is None else number == expected
-                rows = self._block(blob, n) if follows and zlib.crc32(blob) == crc else None
-                if rows is None:
-                    raise self._altered_rows(number, n)
-                here = (Failure(row=row - number, reason=reason) for row, reason in failures if row >= number)
-                yield JournalSlice(number, rows, cpu_seconds, tuple(f for f in here if f.row < n))
-                expected = number + n
+        for number, n, cpu_seconds, crc in blocks:
+            ((blob,),) = self._all("SELECT rows FROM blocks WHERE first = ?", number)
+            follows = 0 <= number <= first if expected is None else number == expected
+            rows = self._block(blob, n) if follows and zlib.crc32(blob) == crc else None
+            if rows is None:
+                raise self._altered_rows(number, n)
+            here = (Failure(row=row - number, reason=reason) for row, reason in failures if row >= number)
+            yield JournalSlice(number, rows, cpu_seconds, tuple(f for f in here if f.row < n))
+            expected = number + n
         if (first if expected is None else expected) < stop:
             raise damaged_file(self._file, f"rows {expected or first} to {stop - 1} are missing")
 
     def _check_end(self) -> None:
         """Check that the last block has as many rows as it says: their number follows from it."""
         for first, n, blob in self._all("SELECT first, n, rows FROM blocks ORDER BY first DESC LIMIT 1"):
-            with explaining_read_errors(self._file):
-                rows = self._block(blob, n)
+            rows = self._block(blob, n)
             if rows is None or first < 0:
                 raise self._altered_rows(first, n)
 
@@ -375,16 +362,6 @@ class Journal:
         rows = np.frombuffer(columns, dtype=np.uint8).reshape(size, -1).T.tobytes()
         return np.frombuffer(rows, dtype=self.shape.dtype)
 
-    @contextmanager
-    def _reading(self, query: str, *values: object) -> Iterator[sqlite3.Cursor]:
-        """Execute a query, and close its cursor at the end, also if the journal was closed before."""
-        found = self._database.execute(query, values)
-        try:
-            yield found
-        finally:
-            with suppress(sqlite3.ProgrammingError):
-                found.close()
-
     def _meta(self) -> dict[str, str]:
         return {str(name): str(value) for name, value in self._all("SELECT name, value FROM meta")}
 
@@ -401,7 +378,7 @@ class Journal:
             )
 
     def _all(self, query: str, *values: object) -> list[tuple[Any, ...]]:
-        with explaining_read_errors(self._file):
+        with explaining_errors(self._file):
             return self._database.execute(query, values).fetchall()
 
 

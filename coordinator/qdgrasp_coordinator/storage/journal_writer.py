@@ -18,15 +18,14 @@ from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.journal import (
-    NO_ROOM,
     Journal,
     JournalIdentity,
     JournalSlice,
     create_tables,
-    explaining_read_errors,
+    explaining_errors,
 )
 from qdgrasp_coordinator.storage.outputs import JOURNAL
-from qdgrasp_protocol.errors import DiskFull, FolderError
+from qdgrasp_protocol.errors import FolderError
 
 SUCCESS = "INSERT INTO successes VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"
 
@@ -65,7 +64,7 @@ class JournalWriter(Journal):
         part = folder / f"{JOURNAL}.part"
         for left in folder.glob(f"{part.name}*"):
             left.unlink(missing_ok=True)
-        with explaining_write_errors(folder):
+        with explaining_errors(folder / JOURNAL):
             database = sqlite3.connect(part, isolation_level=None)
             try:
                 database.execute("PRAGMA synchronous = OFF")
@@ -91,7 +90,7 @@ class JournalWriter(Journal):
     @classmethod
     def _connect(cls, folder: Path) -> "JournalWriter":
         file = folder / JOURNAL
-        with explaining_read_errors(file), explaining_write_errors(folder):
+        with explaining_errors(file):
             database = sqlite3.connect(file, isolation_level=None)
             try:
                 database.execute("PRAGMA journal_mode = WAL")
@@ -148,7 +147,7 @@ class JournalWriter(Journal):
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
-        with explaining_write_errors(self._file.parent):
+        with explaining_errors(self._file):
             self._database.execute("BEGIN IMMEDIATE")
             try:
                 yield
@@ -185,21 +184,6 @@ def _success_columns(part: JournalSlice) -> list[tuple[float, ...]]:
     columns += [*rows["base_to_object"].T, *cells(rows["descriptor"][:, :3]).T]
     columns += [rows[name] for name in ("nu", "contacts", "penetration")]
     return list(zip(*(column.tolist() for column in columns), strict=True))
-
-
-@contextmanager
-def explaining_write_errors(folder: Path) -> Iterator[None]:
-    """Turn SQLite's write errors into errors of this package; a full disk has its own."""
-    try:
-        yield
-    except sqlite3.OperationalError as error:
-        if error.sqlite_errorcode in NO_ROOM:
-            raise DiskFull(f"There is no room to write in {folder}: {error}.") from None
-        raise FolderError(f"{folder} cannot be written: {error}.") from None
-    except sqlite3.DatabaseError as error:
-        if isinstance(error, sqlite3.ProgrammingError | sqlite3.IntegrityError):
-            raise
-        raise outputs.damaged_file(folder / JOURNAL, str(error)) from None
 
 
 class OpenJournals:

@@ -344,14 +344,6 @@ def test_rows_that_cannot_be_read_in_a_closed_place_are_not_left_out(tmp_path, m
         assert journal.count == 20
 
 
-def test_who_leaves_off_in_the_middle_of_rows_may_close_the_journal_first(tmp_path: Path) -> None:
-    record(tmp_path, make_rows(20), [10, 10])
-    with Journal.open(tmp_path) as journal:
-        left = journal.slices()
-        assert len(next(left)) == 10
-    left.close()  # type: ignore[attr-defined]  # what a generator has, and an iterator need not
-
-
 def test_a_closed_journal_is_not_said_to_be_damaged(tmp_path: Path) -> None:
     record(tmp_path, make_rows(10), [10])
     with Journal.open(tmp_path) as journal:
