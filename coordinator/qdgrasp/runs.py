@@ -13,7 +13,7 @@ from qdgrasp.hand import Hand
 from qdgrasp_assets.genes import archive_box, layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
-from qdgrasp_coordinator.search.archive import ribs_archive
+from qdgrasp_coordinator.search.paper_searches import ribs_archive
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder

@@ -12,9 +12,14 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp_coordinator.metrics import niches
-from qdgrasp_coordinator.metrics.cells import cell_keys, cells
-from qdgrasp_coordinator.metrics.niches import NicheKeys
+from qdgrasp_coordinator.metrics.cells import (
+    NicheKeys,
+    cell_keys,
+    cell_of,
+    cells,
+    without_orientation,
+    without_synergy,
+)
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, ReleasedArchive
 from qdgrasp_coordinator.metrics.successes import NO_TRIALS, Successes, TrialPlan, eta_error
 from qdgrasp_protocol.rows import Outcome, Rows
@@ -238,11 +243,11 @@ class Diversity(Struct, frozen=True, kw_only=True):
 def diversity(keys: NicheKeys, outcomes: NDArray[np.integer]) -> Diversity:
     """Count the niches of successes (n,), which have such outcomes (n,)."""
     found = np.unique(keys)
-    cells = len(np.unique(niches.cell_of(found)))
+    n = len(np.unique(cell_of(found)))
     return Diversity(
         niches=len(found),
         grasp_niches=len(np.unique(keys[outcomes >= Outcome.SHAKEN])),
         robust_niches=len(np.unique(keys[outcomes >= Outcome.HELD])),
-        orientations=len(np.unique(niches.without_synergy(found))) / cells if cells else None,
-        synergies=len(np.unique(niches.without_orientation(found))) / cells if cells else None,
+        orientations=len(np.unique(without_synergy(found))) / n if n else None,
+        synergies=len(np.unique(without_orientation(found))) / n if n else None,
     )

@@ -5,14 +5,17 @@ Random numbers are keyed, so that one spec gives one stream of genomes.
 
 import hashlib
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from qdgrasp_assets.genes import archive_box, layout
 from qdgrasp_assets.scene import Scene, SceneObject, Vector
-from qdgrasp_coordinator.search.archive import PositionBox
 from qdgrasp_protocol.rows import Genomes, Layout, Rows
+
+PositionBox: TypeAlias = tuple[ArrayLike, ArrayLike]
+"""Low and high corner (3,) [m], CoM frame: `genes.archive_box`."""
 
 
 def keyed_generator(seed: int, purpose: str, generation: int) -> np.random.Generator:

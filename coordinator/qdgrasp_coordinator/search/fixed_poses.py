@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.arrays import finite_numbers, read_arrays, real_numbers
-from qdgrasp_coordinator.metrics.niches import GenomeReader
+from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.metrics.successes import NO_TRIALS, TrialPlan, all_successes
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import NO_SYNERGY, Genomes, Outcome, Rows

@@ -18,7 +18,7 @@ from qdgrasp_assets.genes import TOUCH_VALUE
 from qdgrasp_assets.geometry.rotation import Floats, dot, rolls, rotate, tangents, unit
 from qdgrasp_assets.scene import Vector
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
-from qdgrasp_coordinator.search.archive import PositionBox
+from qdgrasp_coordinator.search.base import PositionBox
 from qdgrasp_coordinator.search.success_model import NO_WEIGHTS, first_model
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import FirstWeights

@@ -17,11 +17,8 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import TOUCH_VALUE
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, from_frame, multiply, tangents, turned
 from qdgrasp_assets.scene import Vector
-from qdgrasp_coordinator.metrics.cells import BINS, clear_orientations, orientations
-from qdgrasp_coordinator.metrics.niches import GenomeReader
-from qdgrasp_coordinator.search.aimed import AimedGrasps, directions, posture_genes
-from qdgrasp_coordinator.search.archive import PositionBox
-from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
+from qdgrasp_coordinator.metrics.cells import BINS, GenomeReader, clear_orientations, orientations
+from qdgrasp_coordinator.search.base import PositionBox, SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.frontier import (
     ANYWHERE,
     FIRST_CAPACITY,
@@ -37,7 +34,7 @@ from qdgrasp_coordinator.search.success_model import (
     FIRST_TOUCH_WEIGHTS,
     LogisticRegression,
 )
-from qdgrasp_coordinator.search.value_search import ValueSearch
+from qdgrasp_coordinator.search.value_search import AimedGrasps, ValueSearch, directions, posture_genes
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 

@@ -10,10 +10,18 @@ from dataclasses import dataclass
 from typing import NamedTuple, NoReturn
 
 from qdgrasp_assets import genes
-from qdgrasp_coordinator.search import cma_mae, fixed_poses
+from qdgrasp_coordinator.search import fixed_poses
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace
-from qdgrasp_coordinator.search.map_elites import MapElites, RandomSearch, select_successes, select_uniform
 from qdgrasp_coordinator.search.niche_search import NicheSearch
+from qdgrasp_coordinator.search.paper_searches import (
+    CMA_POPULATION,
+    CmaMae,
+    MapElites,
+    RandomSearch,
+    check_cma,
+    select_successes,
+    select_uniform,
+)
 from qdgrasp_coordinator.search.success_model import check_first_weights
 from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
@@ -135,10 +143,10 @@ PAPER = [
     ),
     *_family(
         "cma_mae",
-        lambda spec, space: cma_mae.CmaMae(spec, space.genes, space.box),
+        lambda spec, space: CmaMae(spec, space.genes, space.box),
         "CMA-MAE, 15 evolution strategies",
-        population=cma_mae.POPULATION,
-        check=cma_mae.check,
+        population=CMA_POPULATION,
+        check=check_cma,
     ),
 ]
 """The methods that Huber et al. 2024, section IV, compare; those without prefix: no prior."""

@@ -1,5 +1,14 @@
 """The search that aims at value: at cells that may gain most, with the best candidates.
 
+An archive distinguishes grasps by the position of the hand, which is known before anything is simulated. So
+the search chooses the cell first, by its frontier, and then the genes that bring the hand there: the
+contact point, roll and posture of a successful neighbour. The worker makes candidates of these, screens
+them for overlap, and simulates the one that a model ranks first; the model learns here, and its weights
+are sent in the genome. Grasps without a success to learn from explore: they aim as the prior `approach`
+would at a box, at a cell before one of its faces, at most 45 degrees aside, and near it. They use the
+object's box and the hand's distances, and leave the surface to the worker. New in this project, not from the
+paper.
+
 A pose is worth P(touch) (c + (1 - c) q): q is the expected quality of a grasp that touches, between 0 and 1,
 and c (`TOUCH_VALUE`) the value of touching alone. Both parts are logistic models, learned during the run,
 twice: on the features that a worker gives of a candidate, for ranking and threshold; and on the features of a
@@ -12,23 +21,15 @@ Quality is the spec's `aim_for`: whether the grasp held (`hold`), its eta (`eta`
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import MOST_CANDIDATES, RANKING_GENES, STEEPEST_VALUE
-from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.genes import MOST_CANDIDATES, NU_A, RANKING_GENES, STEEPEST_VALUE
+from qdgrasp_assets.geometry.rotation import Floats, tangents, turned
+from qdgrasp_coordinator.metrics.cells import PER_METRE
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
-from qdgrasp_coordinator.search.aimed import (
-    SYNERGY,
-    TARGET,
-    AimedGrasps,
-    directions,
-    exploration_grasps,
-    join_grasps,
-    posture_genes,
-    scatter_grasps,
-)
 from qdgrasp_coordinator.search.base import SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.frontier import ANYWHERE, EliteStore, Frontier, Places, outcome_ranks
 from qdgrasp_coordinator.search.success_model import (
@@ -40,6 +41,129 @@ from qdgrasp_coordinator.search.success_model import (
 )
 from qdgrasp_protocol.rows import Genomes, Layout, Outcome, Rows
 from qdgrasp_protocol.spec import FirstWeights, RunSpec
+
+TARGET, CONTACT, ROLL, LOOSENESS, CANDIDATES = slice(0, 3), slice(3, 6), 6, 7, 8
+"""Places of the prior's genes in a genome (assets, `genes`)."""
+FIRST_WEIGHT = 9  # Place of the first gene that ranks candidates
+SYNERGY = "synergy"
+SCATTER_SHARE = 0.5  # Inner share of a cell in which a scattered target may be, along each axis
+POINT_SIGMA = 0.002  # Standard deviation of a scattered contact point along each axis [m]
+ROLL_SIGMA = 0.05  # rad
+
+
+@dataclass(frozen=True)
+class AimedGrasps:
+    """Cells to aim at, each with the grasp to try there."""
+
+    targets: Floats
+    """(n, 3) [m]: the middles of the cells."""
+    contacts: Floats
+    """(n, 3) [m]: the surface points to look at, approximately."""
+    rolls: Floats
+    """(n,) [rad]: about the direction from target to contact."""
+    looseness: Floats
+    """(n,): 0 keeps to contact and roll, 1 takes any."""
+    postures: Floats
+    """(n, k): genes of synergy and free joints."""
+
+    def __len__(self) -> int:
+        return len(self.targets)
+
+    def genomes(self, layout: Layout, candidates: int, weights: Floats) -> Genomes:
+        """Return their genomes (n, d), with `candidates` each, ranked by weights (n, w)."""
+        values = np.zeros((len(self), FIRST_WEIGHT + weights.shape[1]))
+        values[:, TARGET], values[:, CONTACT] = self.targets, self.contacts
+        values[:, ROLL], values[:, LOOSENESS] = self.rolls, self.looseness
+        values[:, CANDIDATES], values[:, FIRST_WEIGHT:] = candidates, weights
+        own = Layout(layout.prior, layout.genes[: values.shape[1]]).genomes(values)
+        return np.concatenate([own, self.postures.astype(np.float32)], axis=1)
+
+
+def directions(targets: Floats, contacts: Floats) -> Floats:
+    """The unit vectors (n, 3) from targets to contacts; along z where both points are the same."""
+    ways = contacts - targets
+    lengths = np.sqrt((ways * ways).sum(axis=1))[:, None]
+    along: Floats = np.tile([0.0, 0.0, 1.0], (len(ways), 1))
+    np.divide(ways, lengths, out=along, where=lengths > 0)
+    return along
+
+
+def join_grasps(one: AimedGrasps, other: AimedGrasps) -> AimedGrasps:
+    """The aims of both, one after the other."""
+    return AimedGrasps(*(np.concatenate([vars(one)[name], vars(other)[name]]) for name in vars(one)))
+
+
+def scatter_grasps(aims: AimedGrasps, generator: np.random.Generator) -> AimedGrasps:
+    """Scatter aims a little, for genomes of one candidate, which the prior does not scatter.
+
+    It is less than the prior's scatter, where the best of many candidates is taken.
+    """
+    n = len(aims)
+    return replace(
+        aims,
+        targets=aims.targets + SCATTER_SHARE / PER_METRE * generator.uniform(-0.5, 0.5, (n, 3)),
+        contacts=aims.contacts + POINT_SIGMA * generator.standard_normal((n, 3)),
+        rolls=aims.rolls + ROLL_SIGMA * generator.standard_normal(n),
+    )
+
+
+NEAR_SHARE = 0.5  # Share of the hand's distances, from the nearest: farther off few grasps hold
+LEAST_LOOSENESS = 0.3  # The least looseness, as a share of the greatest
+
+
+def exploration_grasps(
+    space: SearchSpace, n: int, free_share: float, loosest: float, generator: np.random.Generator
+) -> AimedGrasps:
+    """Return `n` grasps that explore, without a success to learn from.
+
+    The share `free_share` of them aims anywhere in the archive's box, at any point: for objects unlike
+    their boxes. The others have at most the looseness `loosest`: many candidates make up for a box that is
+    not the surface; a single one should keep to its aim.
+    """
+    low, high = (corner[CONTACT] for corner in space.layout.intervals)
+    bottom, top = (corner[TARGET] for corner in space.layout.intervals)
+    nearest, farthest = space.distances
+    contacts, outward = _on_faces(low, high, n, generator)
+    distances = nearest + NEAR_SHARE * (farthest - nearest) * generator.random(n)
+    targets = contacts + distances[:, None] * _leaning(outward, generator)
+    looseness = loosest * generator.uniform(LEAST_LOOSENESS, 1.0, n)
+    anywhere = generator.uniform(bottom, top, (n, 3))
+    is_free = generator.random(n) < free_share
+    return AimedGrasps(
+        np.where(is_free[:, None], anywhere, targets),
+        contacts,
+        generator.uniform(0.0, 2 * np.pi, n),
+        np.where(is_free, 1.0, looseness),
+        generator.uniform(-1.0, 1.0, (n, posture_genes(space))),
+    )
+
+
+def posture_genes(space: SearchSpace) -> int:
+    """The number of genes of the posture, synergy and free joints, behind the prior's own."""
+    return space.genes - FIRST_WEIGHT - RANKING_GENES
+
+
+def _on_faces(low: Floats, high: Floats, n: int, generator: np.random.Generator) -> tuple[Floats, Floats]:
+    """Points (n, 3) uniform on the surface of a box, and its normals there."""
+    size = high - low
+    areas = np.roll(size, 1) * np.roll(size, 2)
+    axes = generator.choice(3, n, p=areas / areas.sum())
+    is_high = generator.random(n) < 0.5
+    points = generator.uniform(low, high, (n, 3))
+    rows = np.arange(n)
+    points[rows, axes] = np.where(is_high, high[axes], low[axes])
+    normals = np.zeros((n, 3))
+    normals[rows, axes] = np.where(is_high, 1.0, -1.0)
+    return points, normals
+
+
+def _leaning(normals: Floats, generator: np.random.Generator) -> Floats:
+    """Directions (n, 3) at most 45 degrees from `normals`, as the prior `approach` draws them."""
+    n = len(normals)
+    nu, xi = generator.uniform(0.0, NU_A, n), generator.uniform(0.0, 2 * np.pi, n)
+    aside, _ = turned(*tangents(normals), xi)
+    return np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
+
 
 WANTED = 0.5  # Value demanded of a cell's first candidates
 LEAST_SHARE = 0.25  # Share of genomes below which less is demanded: 0.1 cost twice the genomes on the drill

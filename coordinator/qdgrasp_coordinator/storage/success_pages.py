@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_coordinator.metrics.niches import UNKNOWN_GENOMES, GenomeReader
+from qdgrasp_coordinator.metrics.cells import UNKNOWN_GENOMES, GenomeReader
 from qdgrasp_coordinator.metrics.successes import (
     NO_TRIALS,
     TrialPlan,

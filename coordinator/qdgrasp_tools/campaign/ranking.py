@@ -6,7 +6,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import SceneObject
-from qdgrasp_coordinator.metrics.cells import cell_keys, cells
+from qdgrasp_coordinator.metrics.cells import GenomeReader, cell_keys, cells, niches, without_synergy
 from qdgrasp_coordinator.metrics.grasp_quality import (
     MM,
     object_motion,
@@ -14,7 +14,6 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_mask,
     settled_poses,
 )
-from qdgrasp_coordinator.metrics.niches import GenomeReader, niches, without_synergy
 from qdgrasp_coordinator.metrics.successes import TrialPlan, best_first, eta_error
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import outputs

@@ -3,8 +3,8 @@
 import numpy as np
 from msgspec import field, structs
 
+from qdgrasp_coordinator.metrics.cells import niches
 from qdgrasp_coordinator.metrics.job_status import RunListing
-from qdgrasp_coordinator.metrics.niches import niches
 from qdgrasp_coordinator.metrics.run_stats import RunCounter
 from qdgrasp_coordinator.metrics.success_metrics import (
     Diversity,

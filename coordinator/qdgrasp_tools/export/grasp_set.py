@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.rotation import Floats, rotate, unit
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.arrays import take_rows
+from qdgrasp_coordinator.metrics.cells import opened
 from qdgrasp_coordinator.metrics.grasp_quality import (
     contact_values,
     object_motion,
@@ -18,7 +19,6 @@ from qdgrasp_coordinator.metrics.grasp_quality import (
     settled_mask,
     settled_poses,
 )
-from qdgrasp_coordinator.metrics.niches import opened
 from qdgrasp_coordinator.metrics.run_stats import outcome_words
 from qdgrasp_coordinator.metrics.successes import eta_error
 from qdgrasp_coordinator.search.fixed_poses import as_given

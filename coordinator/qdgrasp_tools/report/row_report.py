@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, SceneGripper
-from qdgrasp_coordinator.metrics.cells import cells
+from qdgrasp_coordinator.metrics.cells import UNKNOWN_GENOMES, GenomeReader, cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, recorded_margins
-from qdgrasp_coordinator.metrics.niches import UNKNOWN_GENOMES, GenomeReader
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.metrics.successes import TrialPlan, eta_error
 from qdgrasp_coordinator.search.registry import prior_of

@@ -3,8 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.metrics.cells import MIDDLES
-from qdgrasp_coordinator.metrics.niches import GenomeReader, niches
+from qdgrasp_coordinator.metrics.cells import MIDDLES, GenomeReader, niches
 from qdgrasp_coordinator.metrics.success_metrics import (
     SuccessMetrics,
     cell_growth,

@@ -16,19 +16,20 @@ from tests.coordinator.search.synthetic_scene import (
 
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
-from qdgrasp_coordinator.search.aimed import (
+from qdgrasp_coordinator.search.base import SearchSpace
+from qdgrasp_coordinator.search.registry import AIMED, method, prior_of
+from qdgrasp_coordinator.search.value_search import (
     CANDIDATES,
     CONTACT,
+    FIRST_EXPLORING,
     LOOSENESS,
     TARGET,
     AimedGrasps,
+    ValueSearch,
     directions,
     exploration_grasps,
     scatter_grasps,
 )
-from qdgrasp_coordinator.search.base import SearchSpace
-from qdgrasp_coordinator.search.registry import AIMED, method, prior_of
-from qdgrasp_coordinator.search.value_search import FIRST_EXPLORING, ValueSearch
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.search.cma_mae import CmaMae, check
+from qdgrasp_coordinator.search.paper_searches import CmaMae, check_cma
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
@@ -85,7 +85,7 @@ def test_a_population_that_cannot_be_shared_is_refused(population: int) -> None:
     with pytest.raises(
         ImpossibleValue, match=r"^population must be a multiple of 15, at least 30, for cma_mae"
     ):
-        check(spec(population))
+        check_cma(spec(population))
 
 
 def test_a_second_generation_in_flight_is_refused() -> None:

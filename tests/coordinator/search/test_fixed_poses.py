@@ -7,7 +7,7 @@ from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
-from qdgrasp_coordinator.metrics.niches import GenomeReader
+from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.metrics.successes import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.search.fixed_poses import as_given, read_poses, scores, write_scores

@@ -8,13 +8,13 @@ from tests.coordinator.search.test_aimed import POSTURE, build, spec, targets
 from qdgrasp_assets.genes import TOUCH_VALUE
 from qdgrasp_assets.geometry.rotation import unit
 from qdgrasp_coordinator.metrics.cells import BINS, MIDDLES, cell_keys, cells, orientations
-from qdgrasp_coordinator.search.aimed import LOOSENESS, posture_genes
 from qdgrasp_coordinator.search.frontier import FIRST_CAPACITY, NO_SLOT
 from qdgrasp_coordinator.search.niche_search import (
     KindReader,
     NicheFrontier,
     NicheStore,
 )
+from qdgrasp_coordinator.search.value_search import LOOSENESS, posture_genes
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
 PLACES = 200

@@ -13,13 +13,13 @@ from qdgrasp_assets.genes import STEEPEST_VALUE, TOUCH_VALUE, VALUE_FEATURES
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
-from qdgrasp_coordinator.search.aimed import LOOSENESS
 from qdgrasp_coordinator.search.base import search_space
 from qdgrasp_coordinator.search.frontier import FULL_QUALITY, NEIGHBOURS, Frontier
 from qdgrasp_coordinator.search.success_model import FIRST_QUALITY_WEIGHTS, FIRST_TOUCH_WEIGHTS
 from qdgrasp_coordinator.search.value_search import (
     FULL_ETAS,
     FULL_MARGIN,
+    LOOSENESS,
     QUALITY_GRAIN,
     ValueModel,
     ValueSearch,

@@ -12,8 +12,7 @@ from tests.coordinator.recorded_runs import record_spec
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_coordinator.metrics import successes
-from qdgrasp_coordinator.metrics.cells import MIDDLES, cell_keys, cells
-from qdgrasp_coordinator.metrics.niches import UNKNOWN_GENOMES, GenomeReader, niches
+from qdgrasp_coordinator.metrics.cells import MIDDLES, UNKNOWN_GENOMES, GenomeReader, cell_keys, cells, niches
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec

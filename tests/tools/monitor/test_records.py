@@ -13,7 +13,7 @@ from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.tools.report.test_row_report import OUTCOMES, run_of, run_of_synergies
 
-from qdgrasp_coordinator.metrics.niches import GenomeReader
+from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.metrics.run_stats import count_rows, success_mask
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder

@@ -11,7 +11,7 @@ from tests.coordinator.scenes import JAW, made_scene
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
-from qdgrasp_coordinator.metrics.niches import GenomeReader
+from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_tools.report.row_report import NoSuchRow, RowContextCache, row_context, row_report
