@@ -9,8 +9,8 @@ import typer
 from qdgrasp_coordinator.scheduler.run_plan import RUN_DEFAULTS, full_spec
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.cli_support import run_command
-from qdgrasp_protocol.engines import DEFAULT_ENGINE, has_bullet
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, has_bullet
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.run_commands import start_run
 from qdgrasp_tools.local.supervisor import LocalJobConfig

@@ -17,10 +17,9 @@ from qdgrasp_assets.genes import PRIOR_GENES, layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.scheduler.run_plan import absolute_asset
 from qdgrasp_coordinator.search.fixed_poses import PoseNames
-from qdgrasp_protocol.engines import EngineChoice
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import GIVEN, Genomes, Layout
-from qdgrasp_protocol.spec import BaseName, ProtocolName, RunSpec, run_spec
+from qdgrasp_protocol.spec import BaseName, EngineChoice, ProtocolName, RunSpec, run_spec
 
 Made = TypeVar("Made")
 

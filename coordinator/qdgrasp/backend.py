@@ -19,10 +19,8 @@ from qdgrasp_protocol.process import configure_logging
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
 from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.local import session
 from qdgrasp_tools.local.progress import ProgressDisplay
-from qdgrasp_tools.local.session import LocalSession
-from qdgrasp_tools.local.supervisor import check_engines
+from qdgrasp_tools.local.supervisor import LocalSession, check_engines, open_session
 
 log = structlog.get_logger()
 ROUTER_SECONDS = 10.0  # seconds to wait for a router, and for workers before a warning
@@ -124,7 +122,7 @@ def open_place(
     if not structlog.is_configured():
         configure_logging("qdgrasp", level=logging.WARNING)
     name = place.job or job or f"python-{secrets.token_hex(4)}"
-    with session.open_session(name, logs, shown, *(meeting or place.meet()), place.proof) as here:
+    with open_session(name, logs, shown, *(meeting or place.meet()), place.proof) as here:
         yield here
 
 

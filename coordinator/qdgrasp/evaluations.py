@@ -30,7 +30,7 @@ from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.local.session import LocalSession
+from qdgrasp_tools.local.supervisor import LocalSession
 
 
 class GenomeRequest:

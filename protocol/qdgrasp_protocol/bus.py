@@ -1,19 +1,28 @@
 """The interface of the message bus, with the calls that qdgrasp needs.
 
 `zenoh_bus` carries it over Eclipse Zenoh, `memory_bus` is its in-memory twin; one contract test class runs
-over both. Callbacks come from threads of the bus: they put what they got on a queue and return.
+over both. Callbacks come from threads of the bus: they put what they got on a queue and return. Scene bundles
+are sent by their sha256, a query per chunk (docs/bus.md).
 """
 
+import hashlib
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Any, Self
 
 import structlog
 
-from qdgrasp_protocol.errors import BusError, Faulty, NoReply, Refused
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.errors import BusError, Faulty, MessageError, NoReply, Refused
+from qdgrasp_protocol.keys import Keys, last_chunk, parse_number
+from qdgrasp_protocol.messages import Chunk, M
+from qdgrasp_protocol.text import printable
 
 log = structlog.get_logger()
 
@@ -36,6 +45,15 @@ class Sample:
     key: str
     payload: bytes
     encoding: str
+
+
+def decode_sample(sample: Sample, kind: type[M]) -> M:
+    """The message of `kind` in a sample; a MessageError if its encoding or content is another."""
+    if sample.encoding != messages.encoding(kind):
+        raise MessageError(
+            f"expected {messages.encoding(kind)}, got {printable(sample.encoding, messages.MAX_REASON)}"
+        )
+    return messages.decode(sample.payload, kind)
 
 
 @dataclass(frozen=True)
@@ -91,15 +109,23 @@ class Declaration(AbstractContextManager[Any]):
             self.undo()
 
 
-class RingBuffer(Declaration, ABC):
+class RingBuffer:
     """The newest messages that are not taken yet: when it is full, the oldest gives way."""
 
-    def __enter__(self) -> Self:
-        return self
+    def __init__(self, capacity: int) -> None:
+        self._heard: deque[Sample] = deque(maxlen=capacity)
 
-    @abstractmethod
+    def put(self, sample: Sample) -> None:
+        """Add a message."""
+        self._heard.append(sample)
+
     def take(self) -> list[Sample]:
-        """Take all messages, oldest first, without waiting; empty once the context has ended."""
+        """Take all messages, oldest first, without waiting."""
+        taken = []
+        with suppress(IndexError):  # it is empty
+            while True:
+                taken.append(self._heard.popleft())
+        return taken
 
 
 def reply_error(error: Exception, key: str) -> BusError:
@@ -127,13 +153,15 @@ class Bus(ABC):
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
         """Call `handler` with every message whose key matches `pattern` until the context ends."""
 
-    @abstractmethod
-    def ring(self, pattern: str, capacity: int) -> RingBuffer:
+    @contextmanager
+    def ring(self, pattern: str, capacity: int) -> Iterator[RingBuffer]:
         """Keep the latest `capacity` messages whose key matches `pattern` until the context ends.
 
-        For processes that only watch: no code of ours runs when a message comes, and a reader that stops
-        reading holds up no other.
+        For processes that only watch: a reader that stops reading holds up no other.
         """
+        buffer = RingBuffer(capacity)
+        with self.subscribe(pattern, buffer.put):
+            yield buffer
 
     def answer(self, pattern: str, handler: QueryHandler) -> AbstractContextManager[None]:
         """Answer queries on `pattern` until the context ends, one at a time; see `QueryHandler`."""
@@ -201,3 +229,65 @@ class DropCounter:
 
 
 MAX_SHOWN_KEY = 200  # The most characters of a key that are told
+
+
+CHUNK_SIZE = 512 << 10  # Bytes of a bundle in one answer
+
+
+class TooLarge(MessageError):
+    """A scene that is larger than one can be, by its number of chunks."""
+
+    def __init__(self, total: int) -> None:
+        super().__init__(f"the scene has {total} chunks, more than {messages.MAX_BUNDLE // CHUNK_SIZE}")
+
+
+def answer_chunk(query: Query, payload: bytes, digest: str) -> bytes:
+    """The chunk of a bundle that a query names by `i=<number>`; Refused if there is no such one."""
+    if last_chunk(query.key) != digest:
+        raise Refused("no such scene here")
+    total, start = _place(query, len(payload))
+    return messages.encode(Chunk(total=total, data=payload[start : start + CHUNK_SIZE]))
+
+
+def answer_file_chunk(query: Query, path: Path) -> bytes:
+    """The chunk of a file that a query names by `i=<number>`; Refused without one.
+
+    The file may have changed: its sha256 is compared where it is fetched. Refused also without a file.
+    """
+    try:
+        with path.open("rb") as file:
+            total, start = _place(query, os.fstat(file.fileno()).st_size)
+            file.seek(start)
+            return messages.encode(Chunk(total=total, data=file.read(CHUNK_SIZE)))
+    except OSError as error:
+        raise Refused(f"the file {path.name} cannot be read: {error.strerror or error}") from None
+
+
+def _place(query: Query, size: int) -> tuple[int, int]:
+    """The number of chunks of so many bytes, and where the one that a query names begins."""
+    total = max(1, -(-size // CHUNK_SIZE))
+    place = parse_number(query.parameters.removeprefix("i="))
+    if place is None or place >= total:
+        raise Refused(f"chunk '{query.parameters[:20]}' is not one of {total}")
+    return total, place * CHUNK_SIZE
+
+
+def fetch_bundle(bus: Bus, job: str, digest: str) -> bytes:
+    """All bytes of a bundle, from the coordinator of a job; raises as `fetch_bundle_from`."""
+    return fetch_bundle_from(bus, Keys(job).asset(digest), digest)
+
+
+def fetch_bundle_from(bus: Bus, key: str, digest: str) -> bytes:
+    """All bytes of a bundle, from the process that answers on `key`.
+
+    NoReply or Refused if there is no such scene, TooLarge if it cannot be one, a MessageError if what came is
+    not the scene of that digest.
+    """
+    first = messages.decode(bus.ask(key, parameters="i=0"), Chunk)
+    if first.total * CHUNK_SIZE > messages.MAX_BUNDLE:
+        raise TooLarge(first.total)
+    rest = [messages.decode(bus.ask(key, parameters=f"i={i}"), Chunk).data for i in range(1, first.total)]
+    payload = b"".join([first.data, *rest])
+    if hashlib.sha256(payload).hexdigest() != digest:
+        raise MessageError(f"the scene that came is not {digest[:12]}")
+    return payload

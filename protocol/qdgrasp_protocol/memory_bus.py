@@ -6,7 +6,6 @@ so that its time-out holds.
 """
 
 import threading
-from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, wait
 from contextlib import AbstractContextManager
@@ -20,7 +19,6 @@ from qdgrasp_protocol.bus import (
     Channel,
     Declaration,
     Query,
-    RingBuffer,
     Sample,
     SampleHandler,
     TokenHandler,
@@ -53,21 +51,6 @@ class Subscriber(Registration):
     """A session receives messages."""
 
     handler: SampleHandler
-
-
-class MemoryRing(RingBuffer):
-    """Buffer of a subscriber's latest messages."""
-
-    def __init__(self, capacity: int) -> None:
-        super().__init__()
-        self.heard: deque[Sample] = deque(maxlen=capacity)
-
-    def take(self) -> list[Sample]:
-        """Take the buffered messages."""
-        taken = []
-        while self.holds and self.heard:
-            taken.append(self.heard.popleft())
-        return taken
 
 
 @dataclass(eq=False)
@@ -170,12 +153,6 @@ class MemoryBus(Bus):
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
         """Subscribe to messages."""
         return self._declare(Subscriber(self, pattern, handler))
-
-    def ring(self, pattern: str, capacity: int) -> RingBuffer:
-        """Buffer messages."""
-        ring = MemoryRing(capacity)
-        ring.undo = self._declare(Subscriber(self, pattern, ring.heard.append)).undo
-        return ring
 
     def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
         """Answer queries with values."""

@@ -11,7 +11,7 @@ import hashlib
 import zlib
 from collections.abc import Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import msgpack
 import msgspec
@@ -19,10 +19,6 @@ from msgspec import Meta, Struct
 
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.text import printable
-
-if TYPE_CHECKING:
-    from qdgrasp_protocol.bus import Sample
-
 
 VERSION = 2  # The version of the protocol that this package speaks
 
@@ -310,47 +306,40 @@ class SuccessPage(Message, frozen=True, kw_only=True):
 
     wire_name = "finds"
 
-    run: Annotated[Name, Meta(description="Its name in its job.")]
-    scene: Annotated[Digest, Meta(description="sha256 of the run's scene bundle.")]
-    began: Annotated[
-        float,
-        Meta(
-            description="When the journal was begun [s since 1970]: "
-            "another one of the same name has other rows."
-        ),
-    ]
-    next: Annotated[Count, Meta(description="The journal number from which to ask on.")]
-    rows: Annotated[
-        Count,
-        Meta(
-            description="How many rows the journal has; with `next` there, "
-            "these are all the successes so far."
-        ),
-    ]
-    n: Annotated[int, Meta(ge=0, le=4096, description="How many finds these are.")]
-    joints: Annotated[Width, Meta(description="Finger joints of the hand.")]
-    contact_slots: Annotated[Width, Meta(description="Contacts that a success has room for.")] = 0
-    columns: Annotated[
-        dict[str, bytes], Meta(description="Each column of `success_pages` by its name, little-endian.")
-    ]
+    run: Name
+    scene: Digest
+    began: float
+    """When the journal was begun [s since 1970]: another one of the same name has other rows."""
+    next: Count
+    """The journal number from which to ask on."""
+    rows: Count
+    """Rows of the journal; with `next` there, these are all the successes so far."""
+    n: Annotated[int, Meta(ge=0, le=4096)]
+    joints: Width
+    contact_slots: Width = 0
+    columns: dict[str, bytes]
+    """Each column of `success_pages` by its name, little-endian."""
 
 
 class Heartbeat(Struct, frozen=True, kw_only=True):
     """State of a worker, sent about once a second."""
 
-    wid: Annotated[Wid, Meta(description="Its id.")]
-    host: Annotated[Text, Meta(description="Where it runs.")]
-    run: Annotated[Text, Meta(description="Of the batch in work; empty: there is none.")] = ""
-    rows: Annotated[Count, Meta(description="Of that batch; 0: there is none.")] = 0
-    done: Annotated[Count, Meta(description="Of these, rows that are evaluated.")] = 0
-    loading: Annotated[bool, Meta(description="Whether its simulator loads the scene of that batch.")] = False
-    progressed: Annotated[
-        bool, Meta(description="Whether its simulator did anything since the last sign.")
-    ] = True
-    memory: Annotated[
-        Count, Meta(description="Memory of the worker and its simulator [bytes]; 0: unknown.")
-    ] = 0
-    restarts: Annotated[Count, Meta(description="How often it has started its simulator again.")] = 0
+    wid: Wid
+    host: Text
+    run: Text = ""
+    """Run of the batch in work; empty: there is none."""
+    rows: Count = 0
+    """Rows of that batch."""
+    done: Count = 0
+    """Of these, rows that are evaluated."""
+    loading: bool = False
+    """True while its simulator loads the scene of that batch."""
+    progressed: bool = True
+    """True if its simulator did anything since the last heartbeat."""
+    memory: Count = 0
+    """Memory of the worker and its simulator [bytes]; 0: unknown."""
+    restarts: Count = 0
+    """How often it has started its simulator again."""
 
 
 M = TypeVar("M", bound=Message)
@@ -404,13 +393,6 @@ def decode(payload: bytes, kind: type[M]) -> M:
         return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
     except msgspec.ValidationError as error:
         raise MessageError(f"not a {kind.wire_name}: {printable(str(error), MAX_REASON)}") from None
-
-
-def decode_sample(sample: "Sample", kind: type[M]) -> M:
-    """The message of `kind` in a sample; a MessageError if its encoding or content is another."""
-    if sample.encoding != encoding(kind):
-        raise MessageError(f"expected {encoding(kind)}, got {printable(sample.encoding, MAX_REASON)}")
-    return decode(sample.payload, kind)
 
 
 def check_bundle(payload: bytes) -> None:

@@ -20,7 +20,6 @@ from qdgrasp_protocol.bus import (
     Channel,
     Declaration,
     Query,
-    RingBuffer,
     Sample,
     SampleHandler,
     TokenHandler,
@@ -198,18 +197,6 @@ class ZenohBus(Bus):
             lambda call: self._session.declare_subscriber(pattern, call),
         )
 
-    def ring(self, pattern: str, capacity: int) -> RingBuffer:
-        """Buffer messages in a zenoh ring channel."""
-        ring = ZenohRing()
-        channel: Any = zenoh.handlers.RingChannel(capacity)
-
-        def declare() -> Any:
-            ring.subscriber = self._session.declare_subscriber(pattern, channel)
-            return ring.subscriber
-
-        self._hold(ring, declare)
-        return ring
-
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
         """Query a key."""
         selector = f"{key}?{parameters}" if parameters else key
@@ -307,20 +294,6 @@ class ZenohBus(Bus):
             return act()
         except zenoh.ZError as error:
             raise BusError(f"The bus refuses: {error}.") from None
-
-
-class ZenohRing(RingBuffer):
-    """A ring channel of zenoh, filled by its threads."""
-
-    subscriber: Any
-
-    def take(self) -> list[Sample]:
-        """Take the buffered messages."""
-        taken = []
-        with suppress(zenoh.ZError):  # the session was closed
-            while self.holds and (sample := self.subscriber.try_recv()) is not None:
-                taken.append(_sample(sample))
-        return taken
 
 
 def _open(config: zenoh.Config, stop: Stop | None) -> zenoh.Session | Exception:

@@ -11,8 +11,8 @@ import msgspec
 from tests.common import PATIENCE
 from tests.fakes.messages import put
 
-from qdgrasp_protocol import bundle_transfer, messages
-from qdgrasp_protocol.bus import Channel, Query, Sample
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Channel, Query, Sample, answer_chunk
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
@@ -110,7 +110,7 @@ class LeasingCoordinator:
         if self.garbled:
             self.garbled -= 1
             return messages.encode(Chunk(total=1, data=b"something else"))
-        return bundle_transfer.answer_chunk(query, self.scene, self.digest)
+        return answer_chunk(query, self.scene, self.digest)
 
     def _take(self, sample: Sample) -> None:
         with self._changed:

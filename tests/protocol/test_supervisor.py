@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.common import PATIENCE
 
-from qdgrasp_protocol.session import SECURITY_VARIABLE
-from qdgrasp_protocol.supervisor import (
+from qdgrasp_protocol.process import (
     FIRST_PAUSE,
     LAST_PAUSE,
     MOST_DEATHS,
@@ -20,6 +19,7 @@ from qdgrasp_protocol.supervisor import (
     ProcessSupervisor,
     RestartPolicy,
 )
+from qdgrasp_protocol.session import SECURITY_VARIABLE
 
 SLEEP = "import time; time.sleep(600)"
 

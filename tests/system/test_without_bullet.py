@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import qdgrasp as api
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.engines import MissingEngine, check_engine
+from qdgrasp_protocol.spec import MissingEngine, check_engine
 from qdgrasp_tools.cli.main import app
 
 SCENE = ("--gripper", "panda", "--object", "tennis_ball")

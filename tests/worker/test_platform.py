@@ -7,9 +7,8 @@ import sys
 from tests.worker.genomes import evaluated, outcomes
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_protocol.engines import has_bullet
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import RunSpec, has_bullet
 from qdgrasp_worker import platform as module
 from qdgrasp_worker.platform import (
     physical_probe_digest,

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from qdgrasp_protocol.engines import has_bullet
+from qdgrasp_protocol.spec import has_bullet
 
 LISTED = "import json, sys; {}; print(json.dumps(sorted(sys.modules)))"
 SERVE = "import qdgrasp_worker.cli, qdgrasp_worker.runtime.service, qdgrasp_protocol.zenoh_bus"

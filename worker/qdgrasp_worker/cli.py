@@ -16,11 +16,20 @@ from qdgrasp_assets.asset_paths import cache_folder
 from qdgrasp_assets.code_version import building_code
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo, run_command
-from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE, MOST_WORLDS, Device
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.process import ONE_THREAD, Stop, configure_logging, lifetime
+from qdgrasp_protocol.process import (
+    GRACE,
+    GRACE_MARGIN,
+    ONE_THREAD,
+    DiesAgain,
+    ProcessExit,
+    ProcessSupervisor,
+    Stop,
+    configure_logging,
+    lifetime,
+)
 from qdgrasp_protocol.session import Credentials, Role
-from qdgrasp_protocol.supervisor import GRACE, GRACE_MARGIN, DiesAgain, ProcessExit, ProcessSupervisor
+from qdgrasp_protocol.spec import DEVICE_ENGINE, DEVICE_VARIABLE, MOST_WORLDS, Device
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 log = structlog.get_logger()

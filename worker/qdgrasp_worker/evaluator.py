@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import descriptors, layout
 from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.engines import DEVICE_ENGINE, Device, engine_names
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.spec import DEVICE_ENGINE, Device, engine_names
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
 from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder

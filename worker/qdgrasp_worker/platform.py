@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.engines import (
+from qdgrasp_protocol.errors import QdgraspError
+from qdgrasp_protocol.rows import RESULT, pack
+from qdgrasp_protocol.spec import (
     DEFAULT_ENGINE,
     DEVICE_ENGINE,
     ENGINE_PACKAGES,
     Device,
     EngineName,
+    RunSpec,
     has_bullet,
+    run_spec,
 )
-from qdgrasp_protocol.errors import QdgraspError
-from qdgrasp_protocol.rows import RESULT, pack
-from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_worker.engines import ENGINES
 from qdgrasp_worker.evaluator import DEVICE_MODULE, Evaluator, make_evaluator
 

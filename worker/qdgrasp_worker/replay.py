@@ -17,7 +17,6 @@ from msgspec import structs
 from qdgrasp_assets.geometry.rotation import conjugate, multiply, rotate
 from qdgrasp_assets.scene import Scene, SceneGripper, unpack_scene
 from qdgrasp_protocol.cli_support import run_command
-from qdgrasp_protocol.engines import engine_names
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.replay_messages import (
     ANSWER,
@@ -31,6 +30,7 @@ from qdgrasp_protocol.replay_messages import (
     Snapshot,
 )
 from qdgrasp_protocol.rows import GIVEN, Outcome
+from qdgrasp_protocol.spec import engine_names
 from qdgrasp_worker.candidate_ranking import TableFilter
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.engines import make_world

@@ -17,8 +17,8 @@ from queue import Empty, SimpleQueue
 import structlog
 
 from qdgrasp_coordinator.recorder.recorder import Recorder, open_recorder
-from qdgrasp_protocol import bundle_transfer, messages
-from qdgrasp_protocol.bus import Bus, Channel, Query, Sample
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Bus, Channel, Query, Sample, fetch_bundle
 from qdgrasp_protocol.errors import BusError, DiskFull, MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Recorded
@@ -157,7 +157,7 @@ class RecorderService:
         """Fetch scene bundles one after the other; runs in the fetcher's thread."""
         for digest in digests:
             try:
-                payload = bundle_transfer.fetch_bundle(self._bus, self._job, digest)
+                payload = fetch_bundle(self._bus, self._job, digest)
             except (MessageError, Refused):
                 continue  # the coordinator is not there for this run now
             except BusError:

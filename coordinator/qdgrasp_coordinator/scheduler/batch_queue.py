@@ -8,7 +8,7 @@ from heapq import heappop, heappush
 from math import ceil, sqrt
 
 from qdgrasp_coordinator.scheduler.pipeline import Generation
-from qdgrasp_protocol.engines import DEVICE_ENGINE
+from qdgrasp_protocol.spec import DEVICE_ENGINE
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from typing import TypeVar
 
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.scheduler.run_registry import LoaderEvent
-from qdgrasp_protocol import bundle_transfer, messages
-from qdgrasp_protocol.bus import Bus, LinkChange, Query, Sample, TokenChange
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Bus, LinkChange, Query, Sample, TokenChange, answer_chunk, answer_file_chunk
 from qdgrasp_protocol.errors import MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.messages import Join, Order, OrderReply, shorten, worker_id
@@ -143,8 +143,8 @@ class BusSubscriptions(ExitStack):
         if asset is None:
             raise Refused(f"no run in progress has the scene {digest[:12]}")
         if isinstance(asset, Path):
-            return bundle_transfer.answer_file_chunk(query, asset)
-        return bundle_transfer.answer_chunk(query, asset.payload, digest)
+            return answer_file_chunk(query, asset)
+        return answer_chunk(query, asset.payload, digest)
 
 
 def _await(answer: "Future[T]") -> T:

@@ -33,7 +33,7 @@ from qdgrasp_coordinator.scheduler.worker_registry import WID_DIGITS, LostWorker
 from qdgrasp_coordinator.storage.platforms import LacksEngine, admit_platform, lacks_engine
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Built
-from qdgrasp_protocol.bus import Channel, DropCounter, LinkChange, Sample, TokenChange
+from qdgrasp_protocol.bus import Channel, DropCounter, LinkChange, Sample, TokenChange, decode_sample
 from qdgrasp_protocol.errors import (
     Cancelled,
     EndedEarly,
@@ -173,13 +173,13 @@ class JobScheduler:
         """Process a message; its kind follows from its key, as in access lists."""
         try:
             if sample.key == self._keys.recorded:
-                self._on_recorded(messages.decode_sample(sample, Recorded), now)
+                self._on_recorded(decode_sample(sample, Recorded), now)
             elif sample.encoding == messages.encoding(Built) and sample.key.startswith(self._results):
-                built = messages.decode_sample(sample, Built)
+                built = decode_sample(sample, Built)
                 self._check_sender(last_chunk(sample.key), built.key)
                 self._on_built(built, last_chunk(sample.key), now)
             elif sample.key.startswith(self._results):
-                result = messages.decode_sample(sample, Result)
+                result = decode_sample(sample, Result)
                 self._check_sender(last_chunk(sample.key), result.key)
                 self._on_result(result, last_chunk(sample.key), now)
             else:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.tables import Value, csv_text, read_csv
-from qdgrasp_protocol.engines import ENGINES, engine_names
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.spec import ENGINES, engine_names
 
 VERDICT = np.dtype([("outcome", "i1"), ("fitness", "<f4")])
 """A verdict; -1 and NaN where it is not known."""

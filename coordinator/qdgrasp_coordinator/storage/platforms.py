@@ -5,8 +5,8 @@ Rows of one job come from workers of one platform, whose results have the same b
 
 from collections.abc import Mapping
 
-from qdgrasp_protocol.engines import DEVICE_ENGINE, ENGINE_PACKAGES, engine_names
 from qdgrasp_protocol.errors import Refused
+from qdgrasp_protocol.spec import DEVICE_ENGINE, ENGINE_PACKAGES, engine_names
 
 VERSION = "qdgrasp"  # The version of this package: recorded and shown, not compared
 IN_MUJOCO = ("mujoco", "mujoco_probes")

@@ -16,7 +16,7 @@ from qdgrasp_coordinator.metrics.success_metrics import (
 from qdgrasp_coordinator.metrics.successes import TrialPlan, find_successes
 from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.engines import DEFAULT_ENGINE
+from qdgrasp_protocol.spec import DEFAULT_ENGINE
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.report.row_report import genome_reader
 

@@ -34,7 +34,7 @@ from qdgrasp_tools.campaign.object_library import LibraryRules, is_manifest
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.run_commands import check_not_stopped, echo_errors, resume_hint, run_job
 from qdgrasp_tools.local.progress import progress_display, progress_messages
-from qdgrasp_tools.local.supervisor import ListenConfig, LocalJobConfig
+from qdgrasp_tools.local.supervisor import LocalJobConfig
 
 
 @options.spec_flags("units", "mesh", "protocol", "engine", "evaluations", "grasps")
@@ -142,9 +142,8 @@ def campaign(
     if not JobFolder.is_job(path):
         with progress_messages() as tell:
             check_meshes(asked.runs.values(), tell)
-    listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, *(spec.engine for spec in asked.runs.values()))
-    config = LocalJobConfig(count, listen=listening, seconds=seconds)
+    config = LocalJobConfig(count, listen, security, insecure, seconds)
     config.check_engines(asked.runs.values())
     extent = begin_campaign(path, asked, job)
     folder = JobFolder(path)

@@ -18,8 +18,7 @@ from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import progress_display, progress_messages
-from qdgrasp_tools.local.session import score_poses
-from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines
+from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines, score_poses
 
 if TYPE_CHECKING:
     from qdgrasp_tools.export.importer import ImportedPoses

@@ -14,9 +14,8 @@ import typer
 from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import PROCESSES
-from qdgrasp_protocol.engines import DEVICE_ENGINE
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
-from qdgrasp_protocol.spec import RunSpec, key_texts, run_spec
+from qdgrasp_protocol.spec import DEVICE_ENGINE, RunSpec, key_texts, run_spec
 
 SPEC, END, CHOICE = "Hand, object, search and evaluation", "End", "Choice of grasps"
 """Headings of options in the help of commands."""

@@ -17,11 +17,11 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.errors import EndedEarly, FolderError, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.rows import GIVEN, LIFT, TRIAL_COUNTS, TRIALS, Rows
 from qdgrasp_protocol.spec import (
+    DEFAULT_ENGINE,
     GOAL_KEYS,
     MAX_POPULATION,
     OBJECTIVE_KEYS,
@@ -38,7 +38,7 @@ from qdgrasp_tools.campaign.summary import run_summary
 from qdgrasp_tools.campaign.warm_start import WarmStart
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import ProgressDisplay, progress_display, progress_messages
-from qdgrasp_tools.local.supervisor import ListenConfig, LocalJobConfig, Supervisor
+from qdgrasp_tools.local.supervisor import LocalJobConfig, Supervisor
 from qdgrasp_tools.report.row_report import genome_reader
 
 
@@ -92,8 +92,7 @@ def run(
     if "cross" in values:
         raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
     asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | values | keys, str(spec) if spec else "run")
-    listening = ListenConfig(listen, security, insecure)
-    config = LocalJobConfig(options.worker_count(workers, asked.engine), listen=listening, seconds=seconds)
+    config = LocalJobConfig(options.worker_count(workers, asked.engine), listen, security, insecure, seconds)
     place = out or Path("runs") / run_plan.default_run_name(asked)
     if not warm_start:
         start_run(asked, place, config, job)
@@ -189,9 +188,8 @@ def resume(
         echo(f"{directory} is finished: {found.words}")
         write_ranking_of(folder)
         return
-    listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, folder.spec.engine)
-    config = LocalJobConfig(count, listen=listening, seconds=seconds)
+    config = LocalJobConfig(count, listen, security, insecure, seconds)
     config.check_engines([folder.spec])
     with (
         lifetime("qdgrasp resume") as stop,
@@ -254,9 +252,8 @@ def rerank(
     kinds = ranking.kinds_of_run(source.spec, found, genome_reader(source), by_niche)
     chosen = ranking.best_of_kinds(found, top, source.scene().object, kinds)
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, trials=trials, **ways)
-    listening = ListenConfig(listen, security, insecure)
     count = options.worker_count(workers, spec.engine)
-    config = LocalJobConfig(count, listen=listening)
+    config = LocalJobConfig(count, listen, security, insecure)
     config.check_engines([spec])
     with progress_display(folder.name, spec.evaluations) as shown:
         shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")

@@ -20,11 +20,10 @@ from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.tables import csv_text
-from qdgrasp_protocol.engines import ENGINES
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.spec import ObjectRecord
+from qdgrasp_protocol.spec import ENGINES, ObjectRecord
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.export import jaw_files
 from qdgrasp_tools.export.exporter import ExportFormat, format_of

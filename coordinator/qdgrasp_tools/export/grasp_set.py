@@ -24,10 +24,9 @@ from qdgrasp_coordinator.metrics.successes import eta_error
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import Verdicts
-from qdgrasp_protocol.engines import ENGINES, engine_names
 from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.rows import LIFT, NO_SYNERGY, Outcome, Rows
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import ENGINES, RunSpec, engine_names
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.export.frames import (
     COM,

@@ -13,10 +13,9 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.search.fixed_poses import FARTHEST
-from qdgrasp_protocol.engines import DEFAULT_ENGINE
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import NO_SYNERGY
-from qdgrasp_protocol.spec import ObjectRecord, RunSpec, from_toml
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, ObjectRecord, RunSpec, from_toml
 from qdgrasp_protocol.text import join_numbers
 from qdgrasp_tools.export.frames import Frame, jaw_turn, to_matrices, turn_hand_axes
 

@@ -1,21 +1,27 @@
 """One machine: coordinator, recorder and workers on loopback, started and watched together.
 
-The same processes, commands and messages as on many machines; there is no second code path.
+The same processes, commands and messages as on many machines; there is no second code path. `Supervisor` has
+the coordinator in a process of its own, `LocalSession` in this one.
 """
 
 import os
 import shlex
+import tempfile
 import time
-from collections.abc import Iterable
-from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
+from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RowSink
+from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue, SingleRunQueue, plan_genomes
+from qdgrasp_coordinator.search.fixed_poses import HandPoses
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_protocol.bus import Sample
-from qdgrasp_protocol.engines import DEVICE_ENGINE, DEVICE_VARIABLE, check_engine
+from qdgrasp_coordinator.storage.run_folder import PreparedScene
+from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.errors import (
     EXTRAS,
     EndedEarly,
@@ -25,10 +31,10 @@ from qdgrasp_protocol.errors import (
     check_packages,
 )
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.process import ProcessExit, ProcessSupervisor, Stop
+from qdgrasp_protocol.rows import GIVEN, Rows
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
-from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_protocol.supervisor import ProcessExit, ProcessSupervisor
+from qdgrasp_protocol.spec import DEVICE_ENGINE, DEVICE_VARIABLE, RunSpec, check_engine
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import ProgressDisplay
 
@@ -37,38 +43,23 @@ SESSION_SECONDS = 2.0  # seconds that one try to open a session at the coordinat
 
 
 @dataclass(frozen=True)
-class ListenConfig:
-    """Listening address of a job, and its security."""
+class LocalJobConfig:
+    """Resources, address and limits of a job on this machine; no result depends on them."""
 
-    endpoint: str | None = None
+    workers: int
+    listen: str | None = None
     """Endpoint of the embedded router; None: the default port on loopback, or a free one."""
     security: Path | None = None
     """Folder of certificates; None: links are not encrypted."""
     insecure: bool = False
     """Listen also where strangers get to."""
-
-    @property
-    def flags(self) -> list[str]:
-        """Flags of the coordinator, besides `security_flags`."""
-        listen = ["--listen", self.endpoint] if self.endpoint else []
-        return [*listen, *(["--insecure"] if self.insecure else [])]
+    seconds: float | None = None
+    """After so long the job ends, done or not; None: when it is done."""
 
     @property
     def security_flags(self) -> list[str]:
         """Flags of every process."""
         return ["--security", str(self.security)] if self.security else []
-
-
-@dataclass(frozen=True)
-class LocalJobConfig:
-    """Resources and limits of a job on this machine; no result depends on them."""
-
-    workers: int
-    batch_size: int | None = None
-    """Rows in a batch; None: measured."""
-    listen: ListenConfig = ListenConfig()
-    seconds: float | None = None
-    """After so long the job ends, done or not; None: when it is done."""
 
     def check_engines(self, specs: Iterable[RunSpec]) -> None:
         """Raise an InputError if workers start here and lack the engine or the device of a run."""
@@ -98,25 +89,46 @@ One that takes longer is killed, which loses nothing but its time.
 COORDINATOR = "coordinator"
 
 
-def start_worker(processes: ProcessSupervisor, number: int, flags: Iterable[str]) -> None:
-    """Start a worker that leaves before it would be killed."""
-    grace = ["--grace", f"{processes.children_grace:g}"]
-    processes.start(f"worker-{number}", "qdgrasp_worker.cli", [*flags, *grace])
-
-
-class JobRestarts:
-    """Starts processes of a job again that died.
+class JobProcesses:
+    """The processes of a job, started again when they die.
 
     A process that was killed, or that ended without a sentence, is started again after a while. A coordinator
     that ended with a sentence has decided to; the job then ends with that sentence.
     """
 
-    def __init__(self, processes: ProcessSupervisor, display: ProgressDisplay) -> None:
+    def __init__(
+        self,
+        processes: ProcessSupervisor,
+        display: ProgressDisplay,
+        job: str,
+        endpoint: str = "",
+        security_flags: Sequence[str] = (),
+    ) -> None:
+        self.job = job
+        """Its name on the bus."""
+        self.endpoint = endpoint
+        """Address that processes connect to; empty: nothing listens yet."""
         self._processes = processes
         self._display = display
+        self._security_flags = security_flags
         self._most = -1
         self.is_done = False
         """The coordinator ended with its job complete, or after the seconds that it was given."""
+
+    def start_recorder(self, out: Path) -> None:
+        """Start a recorder that writes to the folder of a job."""
+        flags = [*self._connection_flags, "--out", str(out)]
+        self._processes.start("recorder", "qdgrasp_tools.cli.recorder_process", flags)
+
+    def start_workers(self, count: int) -> None:
+        """Start so many workers, which leave before they would be killed."""
+        flags = [*self._connection_flags, "--grace", f"{self._processes.children_grace:g}"]
+        for number in range(count):
+            self._processes.start(f"worker-{number}", "qdgrasp_worker.cli", flags)
+
+    @property
+    def _connection_flags(self) -> list[str]:
+        return ["--connect", self.endpoint, "--job", self.job, *self._security_flags]
 
     def note_progress(self, figures: JobStatus) -> None:
         """Record the job's figures; progress resets the counts of deaths."""
@@ -170,10 +182,9 @@ class Supervisor:
         self._display = display
         self._stop = stop
         self._news: SimpleQueue[Sample | None] = SimpleQueue()  # Figures of the job; None: a signal
-        self._credentials = Credentials.find(config.listen.security, Role.MONITOR)
-        self._listen = config.listen
+        self._credentials = Credentials.find(config.security, Role.MONITOR)
+        self._listen = config.listen  # Later, where the first coordinator listened
         self._began = time.monotonic()
-        self._near = ""  # Where processes of this machine find the coordinator; empty: it does not listen yet
         self._is_paused = False
 
     def run(self) -> None:
@@ -187,76 +198,157 @@ class Supervisor:
             stack.enter_context(self._folder.supervise())
             stack.callback(self._folder.forget_endpoint)
             processes = stack.enter_context(ProcessSupervisor(self._folder.logs, GRACE))
-            restarts = JobRestarts(processes, self._display)
+            job = JobProcesses(
+                processes, self._display, self._folder.name, security_flags=self._config.security_flags
+            )
             processes.start(COORDINATOR, "qdgrasp_tools.cli.coordinator_process", self._next_coordinator)
             bus: ZenohBus | None = None
-            while self._goes_on(restarts):
-                if not self._near and (endpoint := self._folder.endpoint) is not None:
-                    self._start_members(processes, endpoint)
-                if self._near and bus is None and (bus := self._opened_session()) is not None:
+            while self._goes_on(job):
+                if not job.endpoint and (endpoint := self._folder.endpoint) is not None:
+                    self._start_members(job, endpoint)
+                if job.endpoint and bus is None and (bus := self._opened_session(job)) is not None:
                     stack.enter_context(bus)
-                    stack.enter_context(bus.subscribe(Keys(self._folder.name).stat("job"), self._news.put))
+                    stack.enter_context(bus.subscribe(Keys(job.job).stat("job"), self._news.put))
                     stack.callback(processes.request_stop)  # while the session is being closed
                 with suppress(Empty):
-                    self._take(self._news.get(timeout=LOOK_INTERVAL), restarts)
+                    self._take(self._news.get(timeout=LOOK_INTERVAL), job)
 
-    def _goes_on(self, restarts: JobRestarts) -> bool:
+    def _goes_on(self, job: JobProcesses) -> bool:
         """Take deaths, and start processes again; False once the job is over."""
         if not self._stop.is_set:
             self._folder.check_there()
-            restarts.check(time.monotonic())
-        return not (self._stop.is_set or restarts.is_done)
+            job.check(time.monotonic())
+        return not (self._stop.is_set or job.is_done)
 
-    def _opened_session(self) -> ZenohBus | None:
+    def _opened_session(self, job: JobProcesses) -> ZenohBus | None:
         """Open the session that hears the job's figures, from this coordinator and later ones.
 
         None where that fails: the recorder, which fails for the same reason, ends the job with it.
         """
         with suppress(EndpointError, SystemExit):
-            return ZenohBus.connect(self._near, SESSION_SECONDS, self._stop, self._credentials)
+            return ZenohBus.connect(job.endpoint, SESSION_SECONDS, self._stop, self._credentials)
         return None
 
     def _next_coordinator(self) -> list[str]:
         """Forget where the last coordinator listened; return the arguments of the next."""
         self._folder.forget_endpoint()
-        arguments = [str(self._folder.path), *self._listen.flags, *self._listen.security_flags]
-        if self._config.batch_size:
-            arguments += ["--batch-size", str(self._config.batch_size)]
+        arguments = [str(self._folder.path), *self._config.security_flags]
+        arguments += ["--listen", self._listen] if self._listen else []
+        arguments += ["--insecure"] if self._config.insecure else []
+        arguments += ["--paused"] if self._is_paused else []
         if self._config.seconds is not None:
             left = self._config.seconds - (time.monotonic() - self._began)
             arguments += ["--seconds", str(max(0.0, left))]
-        if self._is_paused:
-            arguments.append("--paused")
         return arguments
 
-    def _say_commands(self, endpoint: str) -> None:
-        """Tell by which commands the job is watched, and joined by more workers."""
-        flags = " ".join(map(shlex.quote, self._listen.security_flags))
+    def _start_members(self, job: JobProcesses, endpoint: str) -> None:
+        """Start the recorder and the workers, and tell how the job is watched and joined by more."""
+        flags = " ".join(map(shlex.quote, self._config.security_flags))
         reached = ",".join(place.from_elsewhere for place in parse_endpoints(endpoint))
         watch = f"qdgrasp-monitor {shlex.quote(str(self._folder.path))} {flags}".rstrip()
-        join = f"qdgrasp-worker --connect {reached} --job {self._folder.name} {flags}".rstrip()
-        self._display.say(f"watch it by `{watch}`, add workers by `{join}`")
-
-    def _start_members(self, processes: ProcessSupervisor, endpoint: str) -> None:
-        """Start the recorder and the workers at the endpoint of the coordinator, now and later."""
+        join = f"qdgrasp-worker --connect {reached} --job {job.job} {flags}".rstrip()
         self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
-        self._say_commands(endpoint)
-        self._listen = replace(self._listen, endpoint=endpoint)
-        self._near = parse_endpoints(endpoint)[0].from_here
-        recorder = [*self._connection_flags, "--out", str(self._folder.path)]
-        processes.start("recorder", "qdgrasp_tools.cli.recorder_process", recorder)
-        for number in range(self._config.workers):
-            start_worker(processes, number, self._connection_flags)
+        self._display.say(f"watch it by `{watch}`, add workers by `{join}`")
+        self._listen = endpoint
+        job.endpoint = parse_endpoints(endpoint)[0].from_here
+        job.start_recorder(self._folder.path)
+        job.start_workers(self._config.workers)
 
-    @property
-    def _connection_flags(self) -> list[str]:
-        return ["--connect", self._near, "--job", self._folder.name, *self._listen.security_flags]
-
-    def _take(self, news: Sample | None, restarts: JobRestarts) -> None:
+    def _take(self, news: Sample | None, job: JobProcesses) -> None:
         """Show the figures that came, if they are some."""
         with suppress(MessageError):
             if news is not None:
                 figures = from_json(news.payload, JobStatus)
                 self._is_paused = figures.state == "paused"
-                restarts.note_progress(figures)
+                job.note_progress(figures)
                 self._display.show(figures)
+
+
+class LocalSession(JobProcesses):
+    """A job that this process coordinates itself, and its processes; made by `open_session`."""
+
+    bus: Bus
+
+    def coordinate(
+        self,
+        queue: RunQueue,
+        make_record: Callable[[RunPlan], RowSink],
+        stop: Stop,
+        batch_size: int | None = None,
+        on_step: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Carry out a queue of runs in this thread, until it is done or the job is ended.
+
+        `make_record` makes the sink of a run's rows; `batch_size` is in rows, None: measured; `on_step` is
+        called at every step. Raises EndedEarly if the job was cancelled, or processes die again and again,
+        and RunsFailed if runs could not be carried out.
+        """
+        service = CoordinatorService(
+            self.bus, stop, job=self.job, queue=queue, make_sink=make_record, batch_size=batch_size
+        )
+
+        def step(now: float) -> None:
+            figures = service.status(now)
+            self.note_progress(figures)
+            self.check(now)
+            self._display.show(figures)
+            on_step()
+
+        service.run(step)
+
+
+@contextmanager
+def open_session(
+    job: str,
+    logs: Path,
+    display: ProgressDisplay,
+    bus: ZenohBus,
+    endpoint: str,
+    security_flags: Sequence[str] = (),
+) -> Iterator[LocalSession]:
+    """Open a job's session; leaving it ends the started processes and the bus session.
+
+    Each process has a log in the folder `logs`; `bus` is opened here.
+    """
+    with bus, ProcessSupervisor(logs, GRACE) as processes:
+        session = LocalSession(processes, display, job, endpoint, security_flags)
+        session.bus = bus
+        yield session
+
+
+def run_temporary_job(
+    job: str,
+    queue: RunQueue,
+    make_record: Callable[[RunPlan], RowSink],
+    config: LocalJobConfig,
+    display: ProgressDisplay,
+    stop: Stop,
+) -> None:
+    """Carry out a queue of runs with workers of this machine, until a signal comes.
+
+    `job` is its name on the bus, which no other process uses. Raises as `LocalSession.coordinate`.
+    """
+    with (
+        tempfile.TemporaryDirectory(prefix="qdgrasp-") as logs,
+        open_session(job, Path(logs), display, *ZenohBus.embedded(None)) as here,
+    ):
+        here.start_workers(max(1, config.workers))
+        here.coordinate(queue, make_record, stop)
+
+
+SCORING_JOB = "evaluate"
+
+
+def score_poses(
+    spec: RunSpec,
+    prepared: PreparedScene,
+    poses: HandPoses,
+    config: LocalJobConfig,
+    display: ProgressDisplay,
+    stop: Stop,
+) -> Rows:
+    """Evaluate poses with a scene's gripper and object; returns rows in journal order."""
+    plan = plan_genomes(spec, prepared, GIVEN, poses.genomes(prepared.scene))
+    memory, queue = MemorySink(plan.shape), SingleRunQueue(lambda: plan, len(poses))
+    run_temporary_job(SCORING_JOB, queue, lambda _: memory, config, display, stop)
+    return memory.rows

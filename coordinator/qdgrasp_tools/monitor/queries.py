@@ -32,8 +32,8 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, SKIPPED
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import page_to_message, success_page
-from qdgrasp_protocol import bundle_transfer, messages
-from qdgrasp_protocol.bus import Bus, Query
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Bus, Query, answer_chunk
 from qdgrasp_protocol.errors import FolderError, InputError, Refused
 from qdgrasp_protocol.keys import NAME, Keys, last_chunk, parse_number
 from qdgrasp_protocol.spec import RunSpec
@@ -264,7 +264,7 @@ class QueryServer(ExitStack):
     def scene(self, query: Query) -> bytes:
         """Return one chunk of a scene."""
         digest = last_chunk(query.key)
-        return bundle_transfer.answer_chunk(query, self._bundle(digest), digest)
+        return answer_chunk(query, self._bundle(digest), digest)
 
     def _read(self, digest: str) -> bytes:
         """Return the bytes of a scene, from the folder of any run that has it."""

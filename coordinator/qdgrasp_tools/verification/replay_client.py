@@ -17,7 +17,7 @@ from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenance
 from qdgrasp_protocol.errors import InputError, QdgraspError
-from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.process import ProcessExit, ProcessSupervisor, Stop
 from qdgrasp_protocol.replay_messages import (
     ANSWER,
     REQUEST,
@@ -26,7 +26,6 @@ from qdgrasp_protocol.replay_messages import (
     ReplayRequest,
 )
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.supervisor import ProcessExit, ProcessSupervisor
 from qdgrasp_tools.local.supervisor import GRACE
 from qdgrasp_tools.report.row_report import row_at
 

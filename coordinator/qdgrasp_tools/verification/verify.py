@@ -31,15 +31,13 @@ from qdgrasp_coordinator.storage import platforms
 from qdgrasp_coordinator.storage.engine_table import check_table, write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenance
-from qdgrasp_protocol.engines import engine_names
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
-from qdgrasp_protocol.spec import run_spec, to_values
+from qdgrasp_protocol.spec import engine_names, run_spec, to_values
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.local.progress import ProgressDisplay
-from qdgrasp_tools.local.session import run_temporary_job
-from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines
+from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines, run_temporary_job
 from qdgrasp_tools.verification.comparison import (
     DifferentRow,
     PlatformShare,

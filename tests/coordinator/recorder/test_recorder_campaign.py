@@ -16,8 +16,7 @@ from tests.fakes.recorder import (
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol import bundle_transfer
-from qdgrasp_protocol.bus import Query
+from qdgrasp_protocol.bus import Query, answer_chunk
 from qdgrasp_protocol.errors import DiskFull, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Opened, Platform
@@ -95,7 +94,7 @@ def test_scenes_that_are_missing_are_fetched_for_all_runs(network, coordinator, 
     def answer(query: Query) -> bytes:
         if query.key == Keys(JOB).asset(BUNDLE.digest):
             asked.append(query.parameters)
-        return bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest)
+        return answer_chunk(query, SCENE, BUNDLE.digest)
 
     with network.session() as bus, recording(network, path):
         bus.answer(Keys(JOB).asset(), answer)

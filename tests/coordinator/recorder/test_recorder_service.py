@@ -5,11 +5,12 @@ import pytest
 from tests.common import PATIENCE, wait_for
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, FakeCoordinator, make_rows, recording
 
+from qdgrasp_coordinator.recorder import recorder_service
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.storage.journal import JournalSlice, slice_to_message
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol import bundle_transfer, messages
-from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol import messages
+from qdgrasp_protocol.bus import Bus, answer_chunk, fetch_bundle
 from qdgrasp_protocol.errors import FolderError, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
@@ -25,7 +26,7 @@ def folder(tmp_path: Path) -> RunFolder:
 
 def show_scene(bus: Bus) -> None:
     """Answer queries for the scene, as the coordinator does."""
-    bus.answer(Keys(JOB).asset(), lambda query: bundle_transfer.answer_chunk(query, SCENE, BUNDLE.digest))
+    bus.answer(Keys(JOB).asset(), lambda query: answer_chunk(query, SCENE, BUNDLE.digest))
 
 
 class TestOpening:
@@ -63,14 +64,14 @@ class TestOpening:
         tmp_path: Path,
         monkeypatch: pytest.MonkeyPatch,
     ) -> None:
-        asked, may_answer, fetch = threading.Event(), threading.Event(), bundle_transfer.fetch_bundle
+        asked, may_answer, fetch = threading.Event(), threading.Event(), fetch_bundle
 
         def slow(*question: object) -> bytes:
             asked.set()
             assert may_answer.wait(2 * PATIENCE)
             return fetch(*question)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(bundle_transfer, "fetch_bundle", slow)
+        monkeypatch.setattr(recorder_service, "fetch_bundle", slow)
         with network.session() as bus:
             show_scene(bus)
             with recording(network, tmp_path / "new"):

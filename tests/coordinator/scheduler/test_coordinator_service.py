@@ -14,8 +14,7 @@ from tests.fakes.recorder import JOB
 from tests.fakes.worker import FakeWorker
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
-from qdgrasp_protocol import bundle_transfer
-from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.bus import Bus, fetch_bundle
 from qdgrasp_protocol.errors import Cancelled, Refused, RunsFailed, TookOver
 from qdgrasp_protocol.keys import Keys
 
@@ -45,9 +44,9 @@ def test_scenes_of_runs_in_progress_are_handed_out_and_no_others() -> None:
     with FakeWorker(job.network.session(), FAY, answers=False).at_work() as idle, job.serving():
         assert idle.kept.wait(PATIENCE)
         scene = b"run-0" * 100
-        assert bundle_transfer.fetch_bundle(other, JOB, hashlib.sha256(scene).hexdigest()) == scene
+        assert fetch_bundle(other, JOB, hashlib.sha256(scene).hexdigest()) == scene
         with pytest.raises(Refused, match="no run in progress has the scene"):
-            bundle_transfer.fetch_bundle(other, JOB, "0" * 64)
+            fetch_bundle(other, JOB, "0" * 64)
 
 
 def test_a_full_disk_is_waited_for_and_no_run_fails_for_it() -> None:

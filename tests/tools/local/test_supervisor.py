@@ -10,18 +10,18 @@ from tests.tools.monitor.sample_jobs import figures
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_protocol.errors import EndedEarly, EndpointError, InputError
-from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.supervisor import (
+from qdgrasp_protocol.process import (
     MOST_DEATHS,
     MOST_OUTSIDE_DEATHS,
     ChildProcess,
     ProcessExit,
     ProcessSupervisor,
     RestartPolicy,
+    Stop,
 )
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local import supervisor
-from qdgrasp_tools.local.supervisor import JobRestarts, ListenConfig, LocalJobConfig, Supervisor
+from qdgrasp_tools.local.supervisor import JobProcesses, LocalJobConfig, Supervisor
 
 
 class Staff(ProcessSupervisor):
@@ -32,7 +32,7 @@ class Staff(ProcessSupervisor):
         self.started: list[str] = []
         self.said: list[str] = []
         self.now = 0.0
-        self.watch = JobRestarts(self, self)  # type: ignore[arg-type]
+        self.watch = JobProcesses(self, self, "mugs")  # type: ignore[arg-type]
         self._dead: list[ProcessExit] = []
         for name in ("coordinator", "recorder", "worker-0", "worker-1"):
             self._children[name] = StartedChild(name, self)
@@ -190,7 +190,7 @@ def test_a_coordinator_that_is_started_again_listens_where_the_first_did(
 
     monkeypatch.setattr(supervisor, "ProcessSupervisor", lambda *_: job)
     monkeypatch.setattr(ZenohBus, "connect", refuse)
-    Supervisor(folder, LocalJobConfig(1, listen=ListenConfig(listen)), Staff(), Stop()).run()  # type: ignore[arg-type]
+    Supervisor(folder, LocalJobConfig(1, listen), Staff(), Stop()).run()  # type: ignore[arg-type]
     assert [after("--listen", one) for one in job.coordinators] == [listen, again]
     assert [after("--connect", one) for one in job.others] == [near, near]
     assert [after("--grace", one) for one in job.others] == [None, "0.25"]  # a recorder, a worker

@@ -7,10 +7,9 @@ import pytest
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.engines import Device
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import Device, RunSpec
 from qdgrasp_worker.engines.lockstep import BufferSizes
 from qdgrasp_worker.engines.lockstep_evaluator import LockstepEvaluator
 from qdgrasp_worker.evaluator import Evaluator

@@ -15,9 +15,8 @@ from tests.fakes.coordinator import LeasingCoordinator
 from qdgrasp_assets.asset_paths import UNFINISHED
 from qdgrasp_assets.code_version import building_code
 from qdgrasp_assets.object_shape import ShapeStore, unpack_shape
-from qdgrasp_protocol import bundle_transfer
 from qdgrasp_protocol.build_messages import Build, MeshFile, ShapeTask
-from qdgrasp_protocol.bus import Query
+from qdgrasp_protocol.bus import Query, answer_file_chunk
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.memory_bus import MemoryNetwork
@@ -59,7 +58,7 @@ def serving(*files: Path) -> Iterator[tuple[BuilderClient, "SimpleQueue[BuildEnd
     def answer(query: Query) -> bytes:
         if (file := by_digest.get(last_chunk(query.key))) is None:
             raise Refused("no run in progress has it")
-        return bundle_transfer.answer_file_chunk(query, file)
+        return answer_file_chunk(query, file)
 
     with ExitStack() as stack:
         head, here = (stack.enter_context(network.session()) for _ in range(2))

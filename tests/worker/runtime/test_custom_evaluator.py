@@ -10,9 +10,9 @@ from tests.worker.runtime import evaluators
 from tests.worker.runtime.evaluators import Height, Squeamish
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.engines import Device
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.spec import Device
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.runtime import simulator_supervisor
 from qdgrasp_worker.runtime.custom_evaluator import CustomEvaluator, custom_platform, load_evaluator

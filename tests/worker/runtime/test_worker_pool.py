@@ -6,8 +6,7 @@ import pytest
 import typer.main
 from typer.testing import CliRunner
 
-from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.supervisor import DiesAgain, ProcessExit, ProcessSupervisor, RestartPolicy
+from qdgrasp_protocol.process import DiesAgain, ProcessExit, ProcessSupervisor, RestartPolicy, Stop
 from qdgrasp_worker import cli
 from qdgrasp_worker.cli import POOL_OPTIONS, WorkerPool, app, worker_arguments
 

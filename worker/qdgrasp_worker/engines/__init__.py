@@ -4,8 +4,8 @@ from importlib import import_module
 from typing import NamedTuple
 
 from qdgrasp_assets.scene import RestingPose, Scene
-from qdgrasp_protocol.engines import DEVICE_ENGINE, check_engine, engine_names
 from qdgrasp_protocol.errors import AssetError, UnknownName
+from qdgrasp_protocol.spec import DEVICE_ENGINE, check_engine, engine_names
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol
 from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.world import ShakenWorld

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.engines import DEVICE_ENGINE, Device
 from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.spec import DEVICE_ENGINE, Device
 from qdgrasp_worker.engines.lockstep import (
     MOVING,
     BatchWorlds,

@@ -26,9 +26,9 @@ import msgspec
 import structlog
 
 from qdgrasp_assets.asset_paths import remove_unfinished, write_whole
-from qdgrasp_protocol import bundle_transfer, messages
+from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import MOST_PIECES, Build, Built, split_payload
-from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.bus import Bus, TooLarge, fetch_bundle
 from qdgrasp_protocol.errors import BusError, MessageError, NoReply, QdgraspError
 from qdgrasp_protocol.keys import DIGEST, Keys
 from qdgrasp_protocol.messages import MAX_REASON, Join, Joined, shorten
@@ -50,7 +50,7 @@ class SceneStore:
         """Return the bytes of a scene, from disk or from the job's coordinator (`fetch_bundle`)."""
         payload = None if self._folder is None else _read(self._folder / digest)
         if payload is None:
-            payload = bundle_transfer.fetch_bundle(bus, job, digest)
+            payload = fetch_bundle(bus, job, digest)
             if self._folder is not None:
                 with suppress(OSError):  # a cache that cannot be written is only slower
                     write_whole(self._folder / digest, payload)
@@ -199,7 +199,7 @@ class BuildAttempt:
             with tempfile.TemporaryDirectory(prefix="qdgrasp-shape-") as folder:
                 self._fetch(bus, Path(folder) / "files")
                 return self._build(Path(folder), ["nice", "-n", str(nice)] if nice else [])
-        except bundle_transfer.TooLarge as error:
+        except TooLarge as error:
             return BuildEnded(self.job, self.build, reason=str(error), is_final=True)
         except (BusError, MessageError) as error:
             return BuildEnded(self.job, self.build, reason=f"its files cannot be fetched: {error}")
@@ -211,7 +211,7 @@ class BuildAttempt:
         for file in self.build.task.files:
             path = folder / file.name
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(bundle_transfer.fetch_bundle(bus, self.job, file.sha256))
+            path.write_bytes(fetch_bundle(bus, self.job, file.sha256))
 
     def _build(self, folder: Path, nice: list[str]) -> BuildEnded:
         task, given, found = self.build.task, folder / "task.msgpack", folder / "shape.msgpack"

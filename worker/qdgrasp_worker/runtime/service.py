@@ -22,8 +22,16 @@ import structlog
 from qdgrasp_assets.process_limits import process_stats
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Build
-from qdgrasp_protocol.bundle_transfer import TooLarge
-from qdgrasp_protocol.bus import Bus, Channel, DropCounter, LinkChange, Sample, TokenChange
+from qdgrasp_protocol.bus import (
+    Bus,
+    Channel,
+    DropCounter,
+    LinkChange,
+    Sample,
+    TokenChange,
+    TooLarge,
+    decode_sample,
+)
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of
 from qdgrasp_protocol.messages import VERSION, Control, Heartbeat, Join, Work, shorten, worker_id
@@ -248,11 +256,11 @@ class WorkerService:
             return
         try:
             if sample.encoding == messages.encoding(Build) and sample.key == Keys(session.job).work(self.wid):
-                session.accept(messages.decode_sample(sample, Build))
+                session.accept(decode_sample(sample, Build))
             elif sample.key == Keys(session.job).work(self.wid):
-                session.accept(messages.decode_sample(sample, Work))
+                session.accept(decode_sample(sample, Work))
             else:
-                session.on_control(messages.decode_sample(sample, Control))
+                session.on_control(decode_sample(sample, Control))
         except MessageError as error:
             self._drops.note(sample.key, error)
 

@@ -17,10 +17,10 @@ from setproctitle import setproctitle
 from qdgrasp_assets import process_limits
 from qdgrasp_assets.scene import unpack_scene
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.engines import Device
 from qdgrasp_protocol.errors import InputError, MessageError
 from qdgrasp_protocol.messages import Failure, shorten
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
+from qdgrasp_protocol.spec import Device
 from qdgrasp_worker.evaluator import BatchEvaluator, EvaluatorCache, make_evaluator
 from qdgrasp_worker.platform import platform
 from qdgrasp_worker.runtime.simulator_messages import (

@@ -28,9 +28,9 @@ from qdgrasp_assets.process_limits import (
     ProcessStats,
     process_stats,
 )
-from qdgrasp_protocol.engines import Device
 from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
-from qdgrasp_protocol.supervisor import RestartPolicy
+from qdgrasp_protocol.process import RestartPolicy
+from qdgrasp_protocol.spec import Device
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
     BatchProgress,

@@ -25,8 +25,8 @@ from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, settled_mask, settled_poses
 from qdgrasp_coordinator.storage.engine_table import EngineTable, holding_in_all
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
-from qdgrasp_protocol.engines import engine_names
 from qdgrasp_protocol.rows import CONTACT_VALUES, NO_SYNERGY, Outcome, trial_count
+from qdgrasp_protocol.spec import engine_names
 
 
 class TriangleMesh(Struct, frozen=True):
