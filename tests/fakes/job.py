@@ -5,6 +5,7 @@ import threading
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from math import inf
 from typing import Protocol
 
 from tests.common import PATIENCE, wait_for
@@ -76,9 +77,11 @@ def runs_of(queue: FakeRunQueue, news: Callable[[LoaderEvent], object] = lambda 
     return RunRegistry(queue, RunLoader(queue, lambda run: MemorySink(run.shape), news, Stop()))
 
 
-def scheduler_of(queue: FakeRunQueue, hear: Callable[[JobEvent], object]) -> JobScheduler:
+def scheduler_of(
+    queue: FakeRunQueue, hear: Callable[[JobEvent], object] = lambda _: None, ends_at: float = inf
+) -> JobScheduler:
     """The scheduler of these runs in its first epoch, which sends nothing; its events are heard."""
-    scheduler = JobScheduler(JOB, runs_of(queue), lambda *_: None, events=EventLog(hear))
+    scheduler = JobScheduler(JOB, runs_of(queue), lambda *_: None, events=EventLog(hear), ends_at=ends_at)
     scheduler.start_epoch(1)
     return scheduler
 

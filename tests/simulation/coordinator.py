@@ -12,19 +12,14 @@ from tests.simulation.worker import BUILDING_CODE, JOB, KEYS
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
 from qdgrasp_coordinator.scheduler.coordinator_service import MOST_WAIT
-from qdgrasp_coordinator.scheduler.inbox import JoinRequest
-from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
+from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler, JoinRequest
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue, WantedShape, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
-    EpochOpened,
+    LoadEnded,
     LoaderEvent,
     LoadRequest,
-    NoRunLeft,
-    NoRunOpened,
-    RunNotOpened,
-    RunOpened,
     RunRegistry,
     ShapesFound,
 )
@@ -94,14 +89,14 @@ class SimulatedLoader(RunQueue):
             self._look_for_shapes(request.shapes)
         ready = next((run for run in self._left if run in self._built), None)
         if not request.opens:
-            self._say(NoRunOpened(runs_wait=False))
+            self._say(LoadEnded())
         elif ready is not None:
             self._left.remove(ready)
             self._try_to_open(ready, request.epoch)
         elif self._left and not request.epoch:
             self._try_to_begin()
         else:
-            self._say(NoRunOpened(runs_wait=True) if self._left else NoRunLeft())
+            self._say(LoadEnded(runs_wait=True) if self._left else LoadEnded(is_last=True))
 
     def _say(self, event: LoaderEvent) -> None:
         self._host.scheduler.handle(event, self._host.now)
@@ -121,12 +116,12 @@ class SimulatedLoader(RunQueue):
         except NoReply:
             opened = None
         except (InputError, TookOver) as refusal:
-            host.hear(RunNotOpened(refusal))
+            host.hear(LoadEnded(failure=refusal))
             return
         if opened is None:
             later(RETRY, self._try_to_begin)
         else:
-            host.hear(EpochOpened(opened))
+            host.hear(LoadEnded(opened=opened))
 
     def _try_to_open(self, run: str, epoch: int) -> None:
         host, later = self._host, self._host.world.later
@@ -142,10 +137,10 @@ class SimulatedLoader(RunQueue):
         except NoReply:
             later(RETRY, lambda: self._try_to_open(run, epoch))
         except (InputError, TookOver) as refusal:
-            host.hear(RunNotOpened(refusal))
+            host.hear(LoadEnded(failure=refusal))
         else:
             host.note(f"opened {run} in epoch {opened.epoch} with {opened.durable[0]} rows")
-            later(host.world.exponential(self._seconds), lambda: host.hear(RunOpened(active, opened)))
+            later(host.world.exponential(self._seconds), lambda: host.hear(LoadEnded(active, opened)))
 
 
 class Coordinator(Process):

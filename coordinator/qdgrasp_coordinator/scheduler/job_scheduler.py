@@ -9,6 +9,7 @@ import os
 import socket
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
+from dataclasses import dataclass, field
 from math import inf
 
 import structlog
@@ -17,15 +18,11 @@ from msgspec import structs
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
 from qdgrasp_coordinator.metrics.time_left import TimeLeft
 from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher, read_result
-from qdgrasp_coordinator.scheduler.inbox import InboxEvent, JoinRequest
 from qdgrasp_coordinator.scheduler.run_plan import BuildReply, ShapeWarning, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
-    EpochOpened,
-    NoRunLeft,
-    NoRunOpened,
-    RunNotOpened,
-    RunOpened,
+    LoadEnded,
+    LoaderEvent,
     RunRegistry,
     ShapesFound,
 )
@@ -62,6 +59,17 @@ log = structlog.get_logger()
 AHEAD_SECONDS = 2.0  # Another run is wanted when less work than this waits for each worker
 COUNTERS_SHOWN = ("requeued", "doubled")
 
+
+@dataclass(frozen=True)
+class JoinRequest:
+    """A worker's request to join, and its answer."""
+
+    join: Join
+    answer: Future[bytes] = field(default_factory=Future)
+
+
+SchedulerEvent = Sample | JoinRequest | TokenChange | LinkChange | LoaderEvent
+"""What a scheduler decides on."""
 PutMessage = Callable[[str, Message, Channel], None]
 """Sends a message on a key; messages are lost while there is no link."""
 
@@ -70,43 +78,16 @@ LEAST_STOP_SECONDS = 0.2  # Shortest time that an ending takes [s], so that the 
 MOST_STOP_SECONDS = 5.0  # Longest wait for a recorder [s]; rows unrecorded by then are evaluated again
 
 
-class EarlyStop:
-    """Decides when a job ends early: when asked to, or by itself after `seconds`; None: never."""
-
-    reason: EndedEarly | None = None
-    """Reason of a requested end; None: not requested."""
-
-    def __init__(self, seconds: float | None, now: float) -> None:
-        self.deadline = inf if seconds is None else now + seconds
-        """When it is to begin by itself; infinite: never, or it has begun."""
-        self._began: float | None = None
-
-    def begin(self, now: float, reason: EndedEarly | None = None) -> None:
-        """Begin the ending: no more work is asked or handed out."""
-        self._began, self.reason, self.deadline = now, reason, inf
-
-    @property
-    def has_begun(self) -> bool:
-        """True if nothing is asked or leased any more; what was found is still recorded."""
-        return self._began is not None
-
-    def is_due(self, now: float) -> bool:
-        """True if it is to begin by itself now."""
-        return now >= self.deadline
-
-    def is_over(self, now: float, *, is_safe: bool) -> bool:
-        """True if the job may end now; `is_safe`: all results are recorded."""
-        if self._began is None:
-            return False
-        return now >= self._began + (LEAST_STOP_SECONDS if is_safe else MOST_STOP_SECONDS)
-
-
 class JobScheduler:
     """Decides what a coordinator does with each event.
 
     `on_epoch` is called with the epoch that a recorder issued and the identity of the job, before a worker is
-    served; `on_finished` with each finished and recorded run before it is removed.
+    served; `on_finished` with each finished and recorded run before it is removed. The job ends by itself at
+    the time `ends_at`; infinite: when it is done.
     """
+
+    stop_reason: EndedEarly | None = None
+    """Why it ends early, where that was asked for."""
 
     def __init__(
         self,
@@ -116,14 +97,15 @@ class JobScheduler:
         *,
         batch_size: int | None = None,
         events: EventLog | None = None,
-        stopping: EarlyStop | None = None,
+        ends_at: float = inf,
         on_epoch: Callable[[int, str], None] = lambda _epoch, _identity: None,
         on_finished: Callable[[ActiveRun, float], None] = lambda _run, _now: None,
     ) -> None:
         self.job = job
         self.runs = runs
         self.events = events or EventLog()
-        self.stopping = stopping or EarlyStop(None, 0.0)
+        self._ends_at = ends_at
+        self._stopped_at: float | None = None  # When the ending began
         self.drops = DropCounter()
         self.is_paused = False  # True: nothing is leased; leased batches still count
         self.is_cancelled = False
@@ -144,8 +126,8 @@ class JobScheduler:
         self.workers = WorkerRegistry()
         self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size)
 
-    def handle(self, event: InboxEvent, now: float) -> None:
-        """Process an event, but for administrators' commands; TookOver if another coordinator did."""
+    def handle(self, event: SchedulerEvent, now: float) -> None:
+        """Process an event; TookOver if another coordinator did."""
         match event:
             case Sample():
                 self._on_message(event, now)
@@ -155,17 +137,8 @@ class JobScheduler:
                 self._on_token(key, alive, now)
             case LinkChange(up):
                 self.workers.on_link(up, now)
-            case RunOpened(run, opened):
-                self._on_opened(run, opened)
-            case RunNotOpened(reason):
-                self._on_not_opened(reason)
-            case NoRunLeft():
-                self.runs.no_run_left()
-            case NoRunOpened():
-                self.runs.rested(event)
-            case EpochOpened(opened):
-                self.runs.rested(NoRunOpened(runs_wait=False))
-                self._begin_epoch(opened)
+            case LoadEnded():
+                self._on_load_ended(event)
             case ShapesFound(wanted, warnings):
                 self._on_shapes_found(wanted, warnings)
 
@@ -260,6 +233,15 @@ class JobScheduler:
             self.events.note("recorder", words)
         for run in self.runs if alive else ():
             run.sink.on_recorder_up(now)
+
+    def _on_load_ended(self, event: LoadEnded) -> None:
+        self.runs.load_ended(event)
+        if event.failure is not None:
+            self._on_not_opened(event.failure)
+        elif event.opened is not None and event.run is not None:
+            self._on_opened(event.run, event.opened)
+        elif event.opened is not None:
+            self._begin_epoch(event.opened)
 
     def _on_opened(self, run: ActiveRun, opened: Opened) -> None:
         if not self.epoch:
@@ -368,7 +350,7 @@ class JobScheduler:
             workers = len(self.workers)
             is_wanted = self.dispatcher.queued_seconds < AHEAD_SECONDS * workers
             self.runs.load(self.epoch, workers=workers, is_wanted=is_wanted)
-        if self.stopping.is_due(now):
+        if now >= self._ends_at:
             self.stop(now)
 
     def _lease(self, now: float) -> None:
@@ -381,16 +363,16 @@ class JobScheduler:
 
     def next_deadline(self) -> float:
         """Return when `step` has something to do if nothing happens; infinite: never."""
-        return min(self.workers.next_deadline(), self.stopping.deadline)
+        return min(self.workers.next_deadline(), self._ends_at)
 
     @property
     def is_ending(self) -> bool:
         """True: nothing is asked or leased; what was found is still recorded."""
-        return self.stopping.has_begun
+        return self._stopped_at is not None
 
     def stop(self, now: float, reason: EndedEarly | None = None) -> None:
         """Stop asking and leasing, withdraw all leases, and start the wait for the recorder."""
-        self.stopping.begin(now, reason)
+        self._stopped_at, self.stop_reason, self._ends_at = now, reason, inf
         for run in self.runs:
             self._withdraw(run.name)
         for wid, builds in self.dispatcher.withdraw_builds().items():
@@ -398,8 +380,10 @@ class JobScheduler:
 
     def has_ended(self, now: float) -> bool:
         """True if a job that ends early may end now."""
-        is_safe = self.is_ending and all(run.sink.is_empty for run in self.runs)
-        return self.stopping.is_over(now, is_safe=is_safe)
+        if self._stopped_at is None:
+            return False
+        is_safe = all(run.sink.is_empty for run in self.runs)  # all results are recorded
+        return now >= self._stopped_at + (LEAST_STOP_SECONDS if is_safe else MOST_STOP_SECONDS)
 
     def obey(self, order: Order, now: float) -> str:
         """Carry an administrator's command out; returns what happened, or raises Refused.

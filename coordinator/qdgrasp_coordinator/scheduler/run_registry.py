@@ -97,37 +97,19 @@ JOIN_TIMEOUT = 0.5  # seconds that the thread may take to notice that it is not 
 
 
 @dataclass(frozen=True)
-class RunOpened:
-    """A run is open and replayed."""
+class LoadEnded:
+    """The loader rests: with a run, a failure, an epoch, or nothing, as the defaults say."""
 
-    run: ActiveRun
-    opened: Opened
-
-
-@dataclass(frozen=True)
-class RunNotOpened:
+    run: ActiveRun | None = None
+    """The run that is open and replayed."""
+    opened: Opened | None = None
+    """The recorder's answer; without a run: an epoch, before the first run is opened."""
+    failure: Exception | None = None
     """A run failed (`RunFailed`), or the coordinator cannot go on (any other error)."""
-
-    reason: Exception
-
-
-@dataclass(frozen=True)
-class NoRunLeft:
-    """There was no run to open."""
-
-
-@dataclass(frozen=True)
-class NoRunOpened:
-    """No run was opened: none was asked for, or all that are left wait for shapes."""
-
-    runs_wait: bool
-
-
-@dataclass(frozen=True)
-class EpochOpened:
-    """The recorder has issued an epoch, before the first run is opened."""
-
-    opened: Opened
+    is_last: bool = False
+    """There was no run left to open."""
+    runs_wait: bool = False
+    """All runs that are left wait for shapes."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +120,7 @@ class ShapesFound:
     warnings: tuple[ShapeWarning, ...]
 
 
-LoaderEvent = RunOpened | RunNotOpened | NoRunLeft | NoRunOpened | EpochOpened | ShapesFound
+LoaderEvent = LoadEnded | ShapesFound
 
 
 @dataclass(frozen=True)
@@ -198,24 +180,24 @@ class RunLoader:
             warnings = tuple(filter(None, map(self._queue.take_shape, request.built)))
             if request.shapes or warnings:
                 self._put(ShapesFound(self._queue.wanted_shapes(request.shapes), warnings))
-            self._put(self._open_next(request.epoch) if request.opens else NoRunOpened(runs_wait=False))
+            self._put(self._open_next(request.epoch) if request.opens else LoadEnded())
         except _Closed:
             return
         except Exception as error:  # noqa: BLE001  # any error is raised again where the job is run
-            self._put(RunNotOpened(error))
+            self._put(LoadEnded(failure=error))
 
-    def _open_next(self, epoch: int) -> LoaderEvent:
+    def _open_next(self, epoch: int) -> LoadEnded:
         try:
             plan = self._next_plan()
         except ShapesMissing:
             if epoch or self._begin_epoch is None:
-                return NoRunOpened(runs_wait=True)
-            return EpochOpened(self._begin_epoch(self._wait))
+                return LoadEnded(runs_wait=True)
+            return LoadEnded(opened=self._begin_epoch(self._wait))
         if plan is None:
-            return NoRunLeft()
+            return LoadEnded(is_last=True)
         self.run = run = ActiveRun(plan, self._make_sink(plan))
         try:
-            return RunOpened(run, run.open(epoch, self._wait))
+            return LoadEnded(run, run.open(epoch, self._wait))
         except InputError as error:
             raise RunFailed(plan.run, str(error)) from None
 
@@ -375,14 +357,14 @@ class RunRegistry:
             self.is_loading, self._was_put_back = True, False
             self._loader.begin(LoadRequest(epoch, opens=opens, shapes=shapes, built=built))
 
-    def rested(self, event: NoRunOpened) -> None:
-        """Note that the loader has opened no run."""
+    def load_ended(self, event: LoadEnded) -> None:
+        """Note that the loader rests, and why it has opened no run."""
         self.is_loading = False
         self._runs_wait = event.runs_wait and not self._was_put_back
+        self._all_opened |= event.is_last and not self._was_put_back
 
     def add(self, run: ActiveRun) -> None:
         """Add an opened run."""
-        self.is_loading = False
         self._open[run.name] = run
         self._budgets.setdefault(run.name, run.tally.budget)  # of a queue that grows
         self._replayed += run.replayed
@@ -390,14 +372,8 @@ class RunRegistry:
 
     def add_failure(self, failure: RunFailed) -> None:
         """Count a run that cannot be carried out as failed."""
-        self.is_loading = False
         self._failures.append(failure)
         self._budgets.pop(failure.run, None)
-
-    def no_run_left(self) -> None:
-        """Note that no run is left to open, unless one was put back meanwhile."""
-        self.is_loading = False
-        self._all_opened = not self._was_put_back
 
     def remove(self, run: ActiveRun) -> None:
         """Remove a run that is done."""

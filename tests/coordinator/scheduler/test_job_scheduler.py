@@ -6,15 +6,18 @@ from math import inf
 import msgspec
 import pytest
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan
-from tests.fakes.job import FakeRunQueue, make_run_plan, scheduler_of
+from tests.fakes.job import FakeRunQueue, SlowSink, make_run_plan, scheduler_of
 from tests.fakes.messages import ANN, BOB, join_message
 from tests.fakes.recorder import JOB
 
 from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, JobEvent, WorkerStatus
-from qdgrasp_coordinator.scheduler.inbox import JoinRequest
-from qdgrasp_coordinator.scheduler.job_scheduler import LEAST_STOP_SECONDS, MOST_STOP_SECONDS, EarlyStop
+from qdgrasp_coordinator.scheduler.job_scheduler import (
+    LEAST_STOP_SECONDS,
+    MOST_STOP_SECONDS,
+    JoinRequest,
+)
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, RunNotOpened, RunOpened
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, LoadEnded
 from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS
 from qdgrasp_protocol.bus import Sample, TokenChange
 from qdgrasp_protocol.errors import Cancelled, RunFailed
@@ -109,7 +112,7 @@ class LibraryQueue(FakeRunQueue):
 def test_a_run_that_cannot_be_carried_out_is_told_of_with_its_object() -> None:
     events: list[JobEvent] = []
     scheduler = scheduler_of(LibraryQueue({"mug": None}), events.append)
-    scheduler.handle(RunNotOpened(RunFailed("mug", "Its mesh is no mesh.")), 0.0)
+    scheduler.handle(LoadEnded(failure=RunFailed("mug", "Its mesh is no mesh.")), 0.0)
     assert [(event.kind, event.run, event.object) for event in events] == [
         ("error", "mug", "/library/mug.stl")
     ]
@@ -120,7 +123,7 @@ def test_a_worker_without_the_engine_of_a_run_is_refused_and_leaves_when_such_a_
     without = msgspec.structs.replace(join_message(ANN), platform={"mujoco": "4.0.1"})
     scheduler.workers.join(without, 0.0)
     run = ActiveRun(make_run_plan("run-0", Plan()), MemorySink(SHAPE))
-    scheduler.handle(RunOpened(run, Opened(epoch=1, durable=[0], platform={})), 1.0)
+    scheduler.handle(LoadEnded(run, Opened(epoch=1, durable=[0], platform={})), 1.0)
     (worker,) = scheduler.workers
     assert worker.is_drained
     request = JoinRequest(msgspec.structs.replace(without, wid=BOB))
@@ -148,20 +151,21 @@ def test_each_worker_stands_on_one_page(job: SchedulerWithoutRuns, workers: int)
 
 
 def test_a_job_ends_by_itself_when_its_time_is_over_and_not_before() -> None:
-    ending = EarlyStop(10.0, now=100.0)
-    assert (ending.is_due(109.9), ending.is_due(110.0)) == (False, True)
-    assert ending.deadline == 110.0
-    assert not ending.is_over(1e9, is_safe=True)
-    endless = EarlyStop(None, now=0.0)
-    assert (endless.is_due(1e9), endless.deadline) == (False, inf)
+    scheduler = scheduler_of(FakeRunQueue({}), ends_at=110.0)
+    scheduler.step(109.9)
+    assert (scheduler.is_ending, scheduler.next_deadline()) == (False, 110.0)
+    scheduler.step(110.0)
+    assert (scheduler.is_ending, scheduler.next_deadline()) == (True, inf)
 
 
 @pytest.mark.parametrize(("is_safe", "patience"), [(True, LEAST_STOP_SECONDS), (False, MOST_STOP_SECONDS)])
 def test_an_ending_waits_for_the_recorder_but_not_for_ever(is_safe: bool, patience: float) -> None:
-    ending = EarlyStop(10.0, now=0.0)
-    ending.begin(5.0, cancelled := Cancelled("mugs"))
-    assert ending.reason is cancelled
-    assert not ending.is_due(11.0)
-    assert ending.deadline == inf
-    assert not ending.is_over(4.99 + patience, is_safe=is_safe)
-    assert ending.is_over(5.0 + patience, is_safe=is_safe)
+    scheduler = scheduler_of(FakeRunQueue({}))
+    run = ActiveRun(make_run_plan("run-0", Plan()), SlowSink(SHAPE))
+    run.sink.is_safe = is_safe
+    scheduler.handle(LoadEnded(run, Opened(epoch=1, durable=[0], platform={})), 1.0)
+    assert not scheduler.has_ended(1e9)
+    scheduler.stop(5.0, cancelled := Cancelled("mugs"))
+    assert scheduler.stop_reason is cancelled
+    assert not scheduler.has_ended(4.99 + patience)
+    assert scheduler.has_ended(5.0 + patience)

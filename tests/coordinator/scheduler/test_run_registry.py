@@ -10,7 +10,7 @@ from tests.coordinator.scheduler.search_plans import SHAPE, Plan, reference
 from tests.fakes.job import FakeRunQueue, OpenedSink, make_run_plan, runs_of
 
 from qdgrasp_coordinator.scheduler import run_registry
-from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, LoaderEvent, NoRunLeft
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, LoadEnded, LoaderEvent
 from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_protocol.errors import ReplayError, RunFailed
 from qdgrasp_protocol.messages import Opened
@@ -66,25 +66,30 @@ class Coming:
 
     def open(self) -> ActiveRun:
         """Open the next run."""
-        run = self.ask().run
-        self.runs.add(run)
-        return run
+        self.hear(event := self.ask())
+        return event.run
+
+    def hear(self, event: LoadEnded) -> None:
+        """Have the runs take what the loader says."""
+        self.runs.load_ended(event)
+        if event.run is not None:
+            self.runs.add(event.run)
 
 
 @pytest.mark.parametrize("others", [(), ("other",)])
 def test_a_run_that_is_put_back_while_none_was_left_is_opened_again(others: tuple[str, ...]) -> None:
     coming = Coming("run", *others)
     run, *rest = (coming.open() for _ in ("run", *others))
-    assert coming.ask() == NoRunLeft()
+    last = coming.ask()
+    assert last == LoadEnded(is_last=True)
     coming.runs.reopen(run)  # before that is heard
-    coming.runs.no_run_left()
+    coming.hear(last)
     for one in rest:
         coming.runs.remove(one)
     assert not coming.runs.are_done
     again = coming.open()
     assert again.name == "run"
-    assert coming.ask() == NoRunLeft()
-    coming.runs.no_run_left()
+    coming.hear(coming.ask())
     coming.runs.remove(again)
     assert coming.runs.are_done
 
@@ -117,5 +122,5 @@ def test_as_many_runs_are_open_at_once_as_there_are_workers_between_two_bounds(m
         for _ in range(4):
             coming.runs.load(1, is_wanted=True, workers=workers)
             if coming.runs.is_loading:
-                coming.runs.add(coming._news.get(timeout=PATIENCE).run)
+                coming.hear(coming._news.get(timeout=PATIENCE))
         assert len(list(coming.runs)) == most

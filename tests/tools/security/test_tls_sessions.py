@@ -14,7 +14,8 @@ from tests.common import PATIENCE
 from tests.fakes.messages import ANN, EVE, KEYS_BY_ID, join_message
 from tests.tools.security.conftest import HOSTS, certificate_files, encrypted_endpoint
 
-from qdgrasp_coordinator.scheduler.inbox import BusSubscriptions, Inbox, JoinRequest
+from qdgrasp_coordinator.scheduler.coordinator_service import BusSubscriptions, Inbox
+from qdgrasp_coordinator.scheduler.job_scheduler import JoinRequest
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import EndpointError, NoReply, Refused, SecurityError
 from qdgrasp_protocol.keys import Keys, last_chunk
