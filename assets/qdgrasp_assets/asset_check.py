@@ -1,6 +1,5 @@
 """Check of any asset by name or file: what it is and what is wrong with it, in words."""
 
-import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -11,11 +10,10 @@ from qdgrasp_assets.asset_paths import NOT_THERE, named_path, path_problem, sear
 from qdgrasp_assets.asset_report import GripperReport, examine, inspect_object
 from qdgrasp_assets.geometry.collision_parts import known_parts
 from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_assets.geometry.mesh_io import read_mesh
 from qdgrasp_assets.geometry.mesh_repair import surface_faults
 from qdgrasp_assets.object_model import read_draft
 from qdgrasp_assets.stand_ins import STAND_INS, stand_in
-from qdgrasp_assets.ycb import SCANS, correct_mesh, fetched_mesh, lengths_in_words, read_pin, scan_differences
+from qdgrasp_assets.ycb import SCANS, lengths_in_words, scan_differences
 from qdgrasp_protocol.errors import QdgraspError, UnknownName
 from qdgrasp_protocol.text import counted
 
@@ -73,14 +71,8 @@ def _check_scan(name: str) -> AssetSummary:
         target = ycb.read_scan(name, "paper")
         facts = _hulls_in_words(target.parts), f"{target.mass:g} kg"
         return _mesh_summary(name, target.mesh, facts, scan_differences(target.mesh, scan))
-    file = fetched_mesh(name)
-    mesh = correct_mesh(read_mesh(file), scan)
-    known, found = read_pin(scan.archive).mesh_sha256, hashlib.sha256(file.read_bytes()).hexdigest()
-    facts = _known_hulls(mesh), f"sha256 {found}" + ("" if known else " (none is known)")
-    faults = list(scan_differences(mesh, scan))
-    if known is not None and known != found:
-        faults.append(f"its file '{file}' has sha256 {found} instead of {known}; fetch it again")
-    return _mesh_summary(name, mesh, facts, faults)
+    mesh = ycb.read_fetched(name)
+    return _mesh_summary(name, mesh, (_known_hulls(mesh),), scan_differences(mesh, scan))
 
 
 def _mesh_summary(name: str, mesh: Mesh, facts: Iterable[str], faults: Iterable[str] = ()) -> AssetSummary:

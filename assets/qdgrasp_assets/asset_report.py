@@ -22,7 +22,7 @@ from qdgrasp_assets.geometry.collision_parts import (
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import scale_in_words
 from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes
-from qdgrasp_assets.geometry.resolution import resolution_notes, thin_share
+from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import POINTS_PER_METRE
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper
 from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes

@@ -1,19 +1,16 @@
 """The catalog: names of grippers and objects, and the scene made of one of each."""
 
-import os
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from qdgrasp_assets import ycb
-from qdgrasp_assets.asset_paths import A_FOLDER, ASSET_PATH, NOT_THERE, named_path, path_problem, searched
+from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, named_path, path_problem, searched
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import check_file
 from qdgrasp_assets.geometry.resting_poses import chosen_resting_poses
 from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
-from qdgrasp_assets.grippers.urdf import mesh_places
 from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts, read_object
 from qdgrasp_assets.object_shape import ObjectShape, file_shape, is_in_catalog, shape_of
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
@@ -67,46 +64,12 @@ def assemble_scene(spec: RunSpec, shape: ObjectShape) -> Scene:
     return _scene(spec, carried_hand(spec), _file_facts(spec), shape)
 
 
-Stamp = tuple[int, int, int, int] | None
-"""State of a file: number, size, and times of its last changes [ns]; None: there is no such file."""
-
-
-_hands: dict[tuple[str, str, bool, str | None], tuple[dict[Path, Stamp], SceneGripper]] = {}
-"""Hands read in this process, with the state of their files and of files that would have precedence.
-
-Keys are name, protocol, whether a hand has to be convex, and asset path.
-"""
-SETTLED = 2_000_000_000  # A file that was changed more recently may change again unseen [ns]
-
-
 def carried_hand(spec: RunSpec) -> SceneGripper:
-    """Return the hand of a spec on the carrier of its protocol; errors of `build_scene`.
-
-    Its files are read again only when they have changed.
-    """
-    key = (spec.gripper, spec.nominal_protocol, bool(spec.engine), os.environ.get(ASSET_PATH))
-    stamps, known = _hands.get(key, ({}, None))
-    if known and all(_stamp(path) == stamp for path, stamp in stamps.items()):
-        return known
-    begun = time.time_ns()
-    gripper = find_gripper(spec.gripper)
-    hand = gripper.on_carrier(spec.nominal_protocol)
+    """Return the hand of a spec on the carrier of its protocol; errors of `build_scene`."""
+    hand = find_gripper(spec.gripper).on_carrier(spec.nominal_protocol)
     if spec.engine:
         check_convex(hand)
-    file = gripper_path(spec.gripper)
-    places = (file, *gripper.file.urdf_places(file), *mesh_places(gripper.robot))
-    stamps = {path: _stamp(path) for path in places}
-    if all(stamp is None or max(stamp[2:]) < begun - SETTLED for stamp in stamps.values()):
-        _hands[key] = stamps, hand
     return hand
-
-
-def _stamp(path: Path) -> Stamp:
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 
 def _file_facts(spec: RunSpec) -> ObjectFacts:

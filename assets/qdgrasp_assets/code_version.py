@@ -15,7 +15,7 @@ CHECKING_MODULES = (
     *("geometry.proximity", "geometry.remesh", "geometry.surface_points", "object_model", "mesh_check"),
 )
 CHECKING_PACKAGES = ("embreex", "fast-simplification", "numpy", "scipy", "trimesh")
-BUILDING_MODULES = (*CHECKING_MODULES, "geometry.collision_parts", "geometry.resolution", "object_shape")
+BUILDING_MODULES = (*CHECKING_MODULES, "geometry.collision_parts", "object_shape")
 BUILDING_PACKAGES = (*CHECKING_PACKAGES, "coacd")
 
 

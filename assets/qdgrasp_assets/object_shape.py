@@ -30,7 +30,7 @@ from qdgrasp_assets.geometry.collision_parts import (
 from qdgrasp_assets.geometry.mesh import Floats, parts_to_obj, read_obj
 from qdgrasp_assets.geometry.mesh_io import check_file, linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
-from qdgrasp_assets.geometry.resolution import resolution_notes, thin_share
+from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
 from qdgrasp_assets.object_model import ObjectDraft, ObjectGeometry, geometry_of, solid_draft, warn_of_mesh
 from qdgrasp_assets.scene import Vector, vector

@@ -1,27 +1,30 @@
 """The scanned YCB objects: those on the asset path, or downloaded ones.
 
-`scans.toml` has the dimensions of each downloaded mesh; `lock.toml`, and a lock file of the user's, hold
-sizes and hashes of the archives.
+`scans.toml` has the dimensions of each mesh, by which a download is accepted. One file is taken out of its
+gzipped tar archive: nothing else is unpacked, and no name in it becomes a path here.
 """
 
 import json
+import tarfile
+import tempfile
 import tomllib
-from collections.abc import Iterable
+import zlib
+from collections.abc import Callable, Iterable
 from contextlib import suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import msgspec
 import numpy as np
-import tomli_w
 from msgspec import Struct, convert
 
 from qdgrasp_assets.asset_paths import data_folder, on_asset_path, searched, write_whole
 from qdgrasp_assets.geometry.collision_parts import collision_parts
 from qdgrasp_assets.geometry.mesh import Mesh, read_parts
 from qdgrasp_assets.geometry.mesh_io import read_mesh
+from qdgrasp_assets.geometry.mesh_repair import drop_degenerate, surface_faults
 from qdgrasp_assets.object_model import ObjectModel, read_solid
 from qdgrasp_assets.stand_ins import STAND_INS
-from qdgrasp_protocol.errors import AssetError, UnreadableHere
+from qdgrasp_protocol.errors import AssetError, UnknownName, UnreadableHere
 
 EXTENTS_TOLERANCE = 5e-5  # m; the table is rounded to 1e-5
 VOLUME_TOLERANCE = 1e-3  # share
@@ -64,7 +67,7 @@ def correct_mesh(mesh: Mesh, scan: Scan) -> Mesh:
     """Correct a mesh: in metres, without folded triangles, wound outward, moved into place."""
     if np.isclose(mesh.extents.max() / max(scan.extents), MILLIMETRES, rtol=0.02):
         mesh = Mesh(mesh.vertices / MILLIMETRES, mesh.faces)
-    mesh = drop_folded(mesh)
+    mesh, _ = drop_degenerate(mesh)
     if mesh.volume < 0:
         mesh = mesh.flipped()
     off = np.array(scan.low) - mesh.bounds[0]
@@ -88,69 +91,6 @@ def scan_differences(mesh: Mesh, scan: Scan) -> tuple[str, ...]:
 def lengths_in_words(extents: Iterable[float]) -> str:
     """Return three lengths in words, without their unit."""
     return " x ".join(f"{side:.4f}" for side in extents)
-
-
-def drop_folded(mesh: Mesh) -> Mesh:
-    """Remove degenerate triangles, and pairs that lie on each other."""
-    corners = np.sort(mesh.faces, axis=1)
-    whole = (np.diff(corners, axis=1) > 0).all(axis=1)
-    faces, corners = mesh.faces[whole], corners[whole]
-    _, first, which, times = np.unique(
-        corners, axis=0, return_index=True, return_inverse=True, return_counts=True
-    )
-    odd = times[which.reshape(-1)] % 2 == 1
-    is_first = np.zeros(len(faces), dtype=bool)
-    is_first[first] = True
-    return Mesh(mesh.vertices, faces[odd & is_first])
-
-
-BUILT_IN_LOCK = Path(__file__).parent / "lock.toml"
-
-
-class ArchivePin(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Size and hashes of one archive; None where unknown."""
-
-    size: int | None = None
-    """Size of the archive [bytes]."""
-    sha256: str | None = None
-    mesh_sha256: str | None = None
-    """sha256 of the mesh file in the archive."""
-
-    def difference(self, other: "ArchivePin") -> str | None:
-        """Describe the first difference from `other`; unknown values are not compared."""
-        kinds = {"size": "{} bytes", "sha256": "sha256 {}", "mesh_sha256": "mesh sha256 {}"}
-        for field, words in kinds.items():
-            known, other_value = getattr(self, field), getattr(other, field)
-            if None not in (known, other_value) and known != other_value:
-                return f"expected {words.format(known)}, got {words.format(other_value)}"
-        return None
-
-
-def users_lock() -> Path:
-    """Return the path of the user's lock file, which `write_pin` writes."""
-    return data_folder() / "lock.toml"
-
-
-def read_pin(archive: str) -> ArchivePin:
-    """Return an archive's pin: ours, else the user's; `AssetError` for a broken lock file."""
-    return {**_read_lock(users_lock()), **_read_lock(BUILT_IN_LOCK)}.get(archive, ArchivePin())
-
-
-def write_pin(archive: str, found: ArchivePin) -> Path:
-    """Write an archive's size and hashes to the user's lock file; return its path."""
-    path = users_lock()
-    pins = {**_read_lock(path), archive: found}
-    write_whole(path, tomli_w.dumps(msgspec.to_builtins(pins)).encode(), is_synced=True)
-    return path
-
-
-def _read_lock(path: Path) -> dict[str, ArchivePin]:
-    try:
-        return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), dict[str, ArchivePin])
-    except (FileNotFoundError, NotADirectoryError):
-        return {}
-    except (OSError, ValueError) as error:
-        raise AssetError(f"The lock file '{path}' cannot be read: {error}; mend or remove it.") from None
 
 
 PREFIX = "ycb_"
@@ -237,3 +177,131 @@ def check_there(name: str) -> None:
 
 def _reference_folder(name: str) -> Path | None:
     return on_asset_path(f"objects/{name.removeprefix(PREFIX)}")
+
+
+LARGEST_MEMBER = 1 << 28  # bytes; the mesh of a scan has one or two megabytes
+
+
+def read_member(archive: Path, member: str) -> bytes:
+    """Return the file `member` of a `.tgz`; `AssetError` if missing, too large or broken."""
+    try:
+        with tarfile.open(archive, mode="r|gz") as tar:
+            for entry in tar:
+                if PurePosixPath(entry.name) == PurePosixPath(member):
+                    break
+            else:
+                raise AssetError(f"There is no '{member}' in '{archive.name}'.")
+            file = tar.extractfile(entry) if entry.isreg() else None
+            if file is None:
+                raise AssetError(f"'{entry.name}' in '{archive.name}' is not a file.")
+            if entry.size > LARGEST_MEMBER:
+                size = f"{entry.size} bytes, too many for a scan"
+                raise AssetError(f"'{entry.name}' in '{archive.name}' has {size}.")
+            return file.read()
+    except (tarfile.TarError, zlib.error, EOFError, OSError) as error:
+        raise AssetError(f"'{archive.name}' is not a whole tar archive: {error}.") from None
+
+
+SILENCE_LIMIT = 30.0  # s without a byte
+LARGEST_DOWNLOAD = 1 << 29  # bytes; the archives of scans have tens of megabytes
+
+Progress = Callable[[int, int | None], None]
+"""Called with the bytes received and the bytes expected, None if the server does not say."""
+
+
+class _ProgressBar:
+    """A progress bar as pooch calls it, with a limit on the bytes of a download."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress, self._here = progress, 0
+        self.total = 0  # Bytes expected, which pooch sets
+
+    def update(self, count: int) -> None:
+        """Count bytes that came; AssetError for too many."""
+        self._here += count
+        if max(self._here, self.total) > LARGEST_DOWNLOAD:
+            raise AssetError(f"it has more than the {LARGEST_DOWNLOAD} bytes that a scan may have.")
+        self._progress(self._here, self.total or None)
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self._here = 0
+
+    def close(self) -> None:
+        """Leave the bar as it is."""
+
+
+def download(url: str, file: Path, progress: Progress = lambda _here, _all: None) -> None:
+    """Download `url`, http or https, into `file`, whole or not at all.
+
+    Raises `AssetError` if there is no such file or the server cannot be reached, and `OSError` if the file
+    cannot be written.
+    """
+    if not url.startswith(("http://", "https://")):
+        raise AssetError(f"Scans are fetched from an http or https address, got '{url}'.")
+    import pooch
+    import requests
+
+    pooch.get_logger().setLevel("WARNING")
+    loader = pooch.HTTPDownloader(progressbar=_ProgressBar(progress), timeout=SILENCE_LIMIT)
+    try:
+        pooch.retrieve(url, known_hash=None, fname=file.name, path=file.parent, downloader=loader)
+    except requests.RequestException as error:
+        answer = error.response
+        why = f"the server answers {answer.status_code} {answer.reason}" if answer is not None else str(error)
+        raise AssetError(
+            f"'{url}' cannot be fetched: {why}; is there a network, and a way to that address?"
+        ) from None
+
+
+YCB_HOME = "https://ycb-benchmarks.s3.amazonaws.com"  # The public bucket of the YCB Object and Model Set
+YCB_TERMS = (
+    "The scans are of the YCB Object and Model Set (Calli, Singh, Walsman, Srinivasa, Abbeel and Dollar "
+    '2015), licence CC BY 4.0: whoever passes them on names "YCB Benchmarks - Object and Model Set".'
+)
+
+
+class WrongScan(AssetError):
+    """Fetched data that is not the expected scan; it was deleted."""
+
+
+def fetch_scan(name: str, home: str, progress: Progress) -> Path:
+    """Fetch one of `SCAN_NAMES` into the data folder; it is checked first, and written whole.
+
+    `home` is the address that the paths of the archives are below. Returns the mesh file. Raises
+    `UnknownName` if there is no such scan, `WrongScan` if it is not what it must be, and `AssetError` if it
+    cannot be fetched or written.
+    """
+    if name not in SCANS:
+        raise UnknownName("scan", name, SCANS, "Other objects are built in or mesh files of your own.")
+    scan = SCANS[name]
+    archive = data_folder() / "downloads" / Path(scan.archive).name
+    try:
+        download(f"{home.rstrip('/')}/{scan.archive}", archive, progress)
+        try:
+            return _accept(name, scan, archive)
+        except AssetError as error:
+            raise WrongScan(f"The data fetched for '{name}' was thrown away: {error}") from None
+        finally:
+            archive.unlink(missing_ok=True)
+    except OSError as error:
+        raise AssetError(
+            f"'{name}' cannot be kept in '{data_folder()}': {error.strerror or error}; name another folder "
+            "with QDGRASP_DATA."
+        ) from None
+
+
+def _accept(name: str, scan: Scan, archive: Path) -> Path:
+    """Check the geometry of an archive's mesh, then put it in place."""
+    content = read_member(archive, scan.member)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / Path(scan.member).name
+        file.write_bytes(content)
+        read = correct_mesh(read_mesh(file), scan)
+    if wrong := scan_differences(read, scan) or surface_faults(read):
+        raise AssetError(f"it is not that scan: {'; '.join(wrong)}.")
+    mesh = fetched_mesh(name)
+    attribution = f"{scan.archive}: {scan.member}\n{YCB_TERMS}\n"
+    write_whole(mesh.with_name("ATTRIBUTION.txt"), attribution.encode(), is_synced=True)
+    write_whole(mesh, content, is_synced=True)
+    return mesh

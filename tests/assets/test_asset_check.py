@@ -1,10 +1,9 @@
 import pytest
 import trimesh
 
-from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_check import check
 from qdgrasp_assets.stand_ins import STAND_INS
-from qdgrasp_assets.ycb import SCANS, fetched_mesh
+from qdgrasp_assets.ycb import fetched_mesh
 from qdgrasp_protocol.errors import UnknownName
 
 BOX = trimesh.creation.box((0.02, 0.03, 0.04))
@@ -30,10 +29,7 @@ def test_a_scan_that_is_absent_or_was_changed_is_a_fault_with_its_remedy(monkeyp
     assert "`qdgrasp asset fetch ycb_mug`" in check("ycb_mug").faults[0]
     fetched_mesh("ycb_mug").parent.mkdir(parents=True)
     BOX.export(fetched_mesh("ycb_mug"))
-    ycb.write_pin(SCANS["ycb_mug"].archive, ycb.ArchivePin(mesh_sha256="0" * 64))
-    faults = check("ycb_mug").faults
-    assert any("m large instead of" in fault for fault in faults)
-    assert any("instead of 0000" in fault for fault in faults)
+    assert any("m large instead of" in fault for fault in check("ycb_mug").faults)
 
 
 def test_an_unknown_asset_is_an_unknown_name():

@@ -4,15 +4,11 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from msgspec.structs import replace
 
-from qdgrasp_assets import catalog
 from qdgrasp_assets.catalog import (
     build_scene,
-    carried_hand,
     every_gripper,
     every_object,
-    find_gripper,
     gripper_names,
     object_names,
 )
@@ -112,40 +108,6 @@ def test_the_catalog_lists_what_is_there(monkeypatch, tmp_path):
 def test_a_reference_scene_is_the_same_bytes_again(asset_path):
     spec = {"gripper": "ref_panda_2f", "object": "ycb_power_drill"}
     assert pack_scene(scene(**spec)).digest == pack_scene(scene(**spec)).digest
-
-
-def counted_reads(monkeypatch) -> list[str]:
-    """The names of the grippers that are read from now on."""
-    read = []
-
-    def find(name):
-        read.append(name)
-        return find_gripper(name)
-
-    monkeypatch.setattr(catalog, "find_gripper", find)
-    monkeypatch.setattr(catalog, "_hands", {})
-    return read
-
-
-def test_a_hand_is_read_once_for_each_protocol_until_one_of_its_files_changes(monkeypatch, claw, edit):
-    monkeypatch.setattr(catalog, "SETTLED", 0)
-    read, spec = counted_reads(monkeypatch), RunSpec(gripper=str(claw), object="mug")
-    first = carried_hand(spec)
-    assert carried_hand(spec) is first
-    assert carried_hand(replace(spec, protocol="released")) != first
-    assert carried_hand(replace(spec, protocol="robust")) is first
-    assert len(read) == 2
-    edit(claw, "palm_offset = 0.05", "palm_offset = 0.06")
-    assert carried_hand(spec).palm_offset == 0.06
-    edit(claw.with_suffix(".urdf"), 'value="0.1"', 'value="0.2"')
-    assert 'value="0.2"' in carried_hand(spec).urdf
-    mesh = claw.parent / "palm.stl"
-    mesh.write_bytes(mesh.read_bytes()[:-2] + b"\1\0")
-    assert carried_hand(spec).meshes["0_palm.stl"].endswith(b"\1\0")
-    assert len(read) == 5
-    mesh.unlink()
-    with pytest.raises(AssetError, match=r"palm\.stl"):
-        carried_hand(spec)
 
 
 def test_the_worker_needs_no_geometry_library():

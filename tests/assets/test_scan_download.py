@@ -1,24 +1,18 @@
-import hashlib
 import io
 import tarfile
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from tests.assets.file_server import claims, cut, fails, served
 
-from qdgrasp_assets import asset_paths, scan_download, ycb
+from qdgrasp_assets import asset_paths, ycb
 from qdgrasp_assets.asset_check import check
 from qdgrasp_assets.geometry import collision_parts
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.object_model import read_solid
-from qdgrasp_assets.ycb import (
-    SCANS,
-    ArchivePin,
-    fetched_mesh,
-    read_pin,
-    write_pin,
-)
+from qdgrasp_assets.ycb import SCANS
 from qdgrasp_protocol.errors import AssetError
 
 NAME = "ycb_rubiks_cube"
@@ -68,15 +62,15 @@ def site(monkeypatch, tmp_path):
         yield running
 
 
-def bring(site, name: str = NAME) -> scan_download.FetchedScan:
-    return scan_download.fetch_scan(name, site.address, lambda _here, _total: None)
+def bring(site, name: str = NAME) -> Path:
+    return ycb.fetch_scan(name, site.address, lambda _here, _total: None)
 
 
 def assert_refused(site, sentence: str) -> None:
-    """A scan is refused, and leaves nothing in the data folder or in the lock."""
+    """A scan is refused, and leaves nothing in the data folder."""
     with pytest.raises(AssetError, match=sentence):
         bring(site)
-    assert (ycb.scan_source(NAME), read_pin(ARCHIVE)) == ("absent", ArchivePin())
+    assert ycb.scan_source(NAME) == "absent"
     assert not list(archived().glob("*.tgz"))
 
 
@@ -84,33 +78,12 @@ def archived():
     return asset_paths.data_folder() / "downloads"
 
 
-def test_a_scan_without_a_known_hash_is_accepted_on_its_geometry_and_is_the_known_one_from_then_on(site):
-    done = bring(site)
-    found = hashlib.sha256(site.content).hexdigest()
+def test_a_scan_is_accepted_on_its_geometry(site):
+    mesh = bring(site)
     assert site.asked == [f"/{ARCHIVE}"]
-    assert fetched_mesh(NAME).read_bytes() == ply(bar())
-    mesh_found = hashlib.sha256(ply(bar())).hexdigest()
-    assert read_pin(ARCHIVE) == ArchivePin(size=len(site.content), sha256=found, mesh_sha256=mesh_found)
-    assert "no hash of its archive was known" in done.sentence
-    assert found in done.sentence
-    assert str(ycb.users_lock()) in done.sentence
-    assert "CC BY 4.0" in fetched_mesh(NAME).with_name("ATTRIBUTION.txt").read_text()
+    assert mesh.read_bytes() == ply(bar())
+    assert "CC BY 4.0" in mesh.with_name("ATTRIBUTION.txt").read_text()
     assert list(archived().iterdir()) == []
-    before = ycb.users_lock().read_bytes()
-    assert "is the one that is known" in bring(site).sentence
-    assert ycb.users_lock().read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    "known", [ArchivePin(sha256="0" * 64), ArchivePin(size=7), ArchivePin(mesh_sha256="0" * 64)]
-)
-def test_an_archive_that_is_not_the_known_one_is_refused(site, known):
-    write_pin(ARCHIVE, known)
-    sentence = r"thrown away: it is not the archive that is known: expected .*, got "
-    with pytest.raises(AssetError, match=sentence):
-        bring(site)
-    assert ycb.scan_source(NAME) == "absent"
-    assert read_pin(ARCHIVE) == known
 
 
 def holed() -> trimesh.Trimesh:
@@ -144,18 +117,7 @@ def test_names_in_an_archive_are_never_paths(site, tmp_path):
     site.content = tgz(ply(bar()), MEMBER, *others)
     bring(site)
     written = {path.name for path in tmp_path.rglob("*") if path.is_file()}
-    assert written == {"mesh.ply", "ATTRIBUTION.txt", "lock.toml"}
-
-
-def test_an_archive_that_unpacks_to_too_much_is_refused(site, monkeypatch):
-    monkeypatch.setattr(scan_download, "LARGEST_WHOLE", 100_000)
-    bomb = tarfile.TarInfo("bomb")
-    bomb.size = 200_000
-    site.content = tgz(ply(bar()), MEMBER, bomb)
-    assert_refused(site, "unpacks to more than 100000 bytes")
-    monkeypatch.setattr(scan_download, "LARGEST_MEMBER", 100)
-    site.content = tgz(ply(bar()))
-    assert_refused(site, "too many for a scan")
+    assert written == {"mesh.ply", "ATTRIBUTION.txt"}
 
 
 def spoilt(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -218,4 +180,4 @@ def test_a_download_that_fails_leaves_nothing(site, behaviour):
     site.behaviours = [behaviour]
     assert_refused(site, "cannot be fetched|more than the .* bytes")
     assert list(archived().iterdir()) == []
-    assert bring(site).lock is not None
+    assert bring(site).is_file()

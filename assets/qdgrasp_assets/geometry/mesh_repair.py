@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import LARGEST_OBJECT, SMALLEST_OBJECT, scale_advice
-from qdgrasp_assets.geometry.proximity import SKEW_DIRECTION, come_within, inside_count, surface_distance
+from qdgrasp_assets.geometry.proximity import SKEW_DIRECTION, inside_count
+from qdgrasp_assets.geometry.surface_points import sample_surface
 
 FLATTEST = 1e-12  # Least volume of a closed mesh with an inside [m3]
 MOST_TRIANGLES = 500_000
@@ -201,7 +202,7 @@ def drop_degenerate(mesh: Mesh) -> tuple[Mesh, str]:
     # corners rise after the lowest one, or fall: opposite for triangles back to back
     rolled = np.take_along_axis(faces, (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     rising = rolled[:, 1] < rolled[:, 2]
-    up, down = (np.bincount(groups, weights=way, minlength=len(first)) > 0 for way in (rising, ~rising))
+    up, down = (np.bincount(groups, weights=way, minlength=len(first)) for way in (rising, ~rising))
     kept = np.sort(whole[first[up != down]])
     dropped = len(mesh.faces) - len(kept)
     if not dropped:
@@ -295,7 +296,8 @@ def _unfilled_words(mesh: Mesh) -> str:
 
 
 MEETING = 1e-3  # Bodies with no larger distance than this belong together [m]
-MANY_BODIES = 2000  # More bodies than this are noise of a scan, and are compared by their boxes alone
+GAP_POINTS = 100_000  # Points of the surface that stand for the bodies, besides all vertices
+ASIDE = 1e-5  # Distance from its surface at which a body is looked for in others [m]
 
 
 def gap_note(mesh: Mesh) -> str:
@@ -312,81 +314,41 @@ def gap_note(mesh: Mesh) -> str:
 def body_gap(mesh: Mesh) -> float:
     """Return the distance [m] from the first body, and all connected to it, to the others.
 
-    It may be a little less; 0 where all bodies meet. Two bodies meet where their surfaces come near each
-    other, or one is in the material of the other, as a hollow is.
+    0 where all bodies meet: their surfaces come near each other, or one is in the material of another, as a
+    hollow is. Surfaces are compared by points on them, so that the distance may be a little more.
     """
+    from scipy.spatial import KDTree
+
     labels = bodies(mesh)
     if not labels.any():
         return 0.0
-    is_near = MeshBodies(mesh, labels).reached[labels]
-    return 0.0 if is_near.all() else surface_distance(mesh.corners[is_near], mesh.corners[~is_near])
+    holders = _holders(mesh, labels)
+    pieces = _connected(np.column_stack([np.arange(len(holders)), holders]), len(holders))[labels]
+    sampled, drawn = sample_surface(mesh, GAP_POINTS, seed=0)
+    corners, first = np.unique(mesh.faces, return_index=True)
+    points = np.concatenate([sampled, mesh.vertices[corners]])
+    owners = np.concatenate([pieces[drawn], pieces[first // 3]])
+    near = MEETING + 2 * np.sqrt(mesh.areas.sum() / GAP_POINTS)  # hardly a point has a wider gap around it
+    is_new, away = owners == pieces[0], np.full(len(points), np.inf)
+    left = ~is_new
+    while is_new.any() and left.any():
+        away[left] = np.minimum(away[left], KDTree(points[is_new]).query(points[left])[0])
+        is_new = np.isin(owners, owners[left & (away <= near)])
+        left &= ~is_new
+    return float(away.min(where=left, initial=np.inf)) if left.any() else 0.0
 
 
-class MeshBodies:
-    """The bodies of a mesh, by the body (f,) of each triangle."""
-
-    def __init__(self, mesh: Mesh, labels: Numbers) -> None:
-        ends = np.cumsum(np.bincount(labels))[:-1]
-        self.parts = np.split(mesh.corners[np.argsort(labels, kind="stable")], ends)
-        self.volumes = np.bincount(labels, weights=mesh.cone_volumes)  # [m3]; negative of hollows
-
-    @property
-    def reached(self) -> NDArray[np.bool_]:
-        """(b,): True for bodies that are connected to the first one."""
-        low, high = self._boxes
-        reached: NDArray[np.bool_] = np.arange(len(low)) == 0
-        waiting = [0]
-        while waiting:
-            body = waiting.pop()
-            near = np.linalg.norm(_box_distance(low, high, low[body], high[body]), axis=1) <= MEETING
-            found = [int(other) for other in np.flatnonzero(near & ~reached) if self._meet(body, int(other))]
-            reached[found] = True
-            waiting += found
-        return reached
-
-    def _meet(self, body: int, other: int) -> bool:
-        """Return whether two bodies meet, given that their boxes do."""
-        if len(self.parts) > MANY_BODIES:
-            return True
-        if self._enclosing_bodies[body] == other or self._enclosing_bodies[other] == body:
-            return True
-        first, second = self._near_triangles(body, other), self._near_triangles(other, body)
-        return bool(len(first) and len(second)) and come_within(first, second, MEETING)
-
-    def _near_triangles(self, body: int, other: int) -> Floats:
-        """Return the triangles of a body that are near enough to another one's box to meet it."""
-        low, high = self._boxes
-        part = self.parts[body]
-        gaps = _box_distance(part.min(axis=1), part.max(axis=1), low[other], high[other])
-        near: Floats = part[np.linalg.norm(gaps, axis=1) <= MEETING]
-        return near
-
-    @cached_property
-    def _boxes(self) -> tuple[Floats, Floats]:
-        """Lowest and highest corner (b, 3) [m] of the box around each body."""
-        low = np.array([part.min(axis=(0, 1)) for part in self.parts])
-        return low, np.array([part.max(axis=(0, 1)) for part in self.parts])
-
-    @cached_property
-    def _enclosing_bodies(self) -> NDArray[np.int64]:
-        """(b,): innermost body in whose material each one lies; itself if in no other."""
-        low, high = self._boxes
-        points = np.array([part[0].mean(axis=0) for part in self.parts])
-        depths, holders = np.zeros(len(points), dtype=np.int64), np.arange(len(points))
-        sizes = np.full(len(points), np.inf)
-        for body, part in enumerate(self.parts):
-            is_held = np.all((low[body] < points) & (points < high[body]), axis=1)
-            is_held[body] = False
-            held = np.flatnonzero(is_held)
-            if len(held):
-                mesh = Mesh(part.reshape(-1, 3), np.arange(3 * len(part)).reshape(-1, 3))
-                found = inside_count(mesh, points[held], np.tile(SKEW_DIRECTION, (len(held), 1)))
-                depths[held] += found
-                inner = held[(found > 0) & (abs(self.volumes[body]) < sizes[held])]
-                holders[inner], sizes[inner] = body, abs(self.volumes[body])
-        return np.where(depths > 0, holders, np.arange(len(points)))
-
-
-def _box_distance(low: Floats, high: Floats, lowest: Floats, highest: Floats) -> Floats:
-    """Return the gaps (n, 3) [m] between boxes and another box along each axis; 0: overlap."""
-    return np.maximum(low - highest, lowest - high).clip(min=0.0)
+def _holders(mesh: Mesh, labels: Numbers) -> Numbers:
+    """Return the innermost body (b,) in whose material each body lies; itself if in no other."""
+    volumes = np.bincount(labels, weights=mesh.cone_volumes)
+    order = np.lexsort((-mesh.areas, labels))
+    largest = order[np.searchsorted(labels[order], np.arange(len(volumes)))]  # triangle of each body
+    outward = np.sign(volumes)[:, None] * mesh.normals[largest]  # a hollow is left into the material
+    points = mesh.corners[largest].mean(axis=1) + ASIDE * outward
+    directions = np.tile(SKEW_DIRECTION, (len(points), 1))
+    holders = np.arange(len(volumes))
+    held = np.flatnonzero(inside_count(mesh, points, directions) > 0)
+    for body in np.argsort(-volumes)[: (volumes > 0).sum()] if len(held) else ():
+        part = Mesh(mesh.vertices, mesh.faces[labels == body])
+        holders[held[inside_count(part, points[held], directions[held]) > 0]] = body
+    return holders

@@ -1,7 +1,4 @@
-"""Proximity queries on meshes: ray casts, containment of points, surface distance.
-
-The distance of two surfaces is looked at ever more finely, where they may be nearest.
-"""
+"""Rays at meshes: distances, containment of points, and walls too thin for the simulator."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -10,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
+from qdgrasp_assets.geometry.surface_points import sample_surface
 
 RAY_RESTART = np.float32(1e-6)  # Offset behind a hit triangle at which the rest of a ray begins [m]
 FAR_FROM_ORIGIN = 1.0  # Distance from its origin beyond which a mesh is moved before rays are cast [m]
@@ -65,82 +63,34 @@ def ray_scene(corners: Floats) -> Any:
     return scene
 
 
-MOST_PIECES = 200_000  # Most pieces of triangles in `come_within`, which is undecided with more
-ENOUGH_PIECES = 50_000  # Most pieces in `surface_distance`, which is not refined further
-FINEST_PIECE = 1e-6  # Size of the smallest pieces [m]
-ACCURACY = 0.3  # Relative accuracy of a distance
-SLACK = 0.1  # Relative error allowed in the search for the nearest piece, for speed
+PART_MARGIN = 1e-3  # Distance outside its surface at which a convex part is met, in both engines [m]
+THINNEST = 2 * PART_MARGIN
+"""Walls thinner than this consist mostly of the margins of the convex parts on both sides [m]."""
+SMALLEST_SIDE = 0.01  # Side of the cells by which archives tell poses apart [m]
+MOST_THIN = 0.1  # Share of the surface above which walls are said to be thin; edges of solids have less
+WALL_POINTS = 10_000  # Points of the surface at which walls are measured
+INWARD = 1e-6  # Offset below the surface at which rays begin, so that they do not meet it again [m]
 
 
-def come_within(first: Floats, second: Floats, distance: float) -> bool:
-    """Return whether two surfaces of triangles (n, 3, 3) [m] come within a distance [m].
-
-    True also where they are a little farther apart over so large a surface that it stays undecided.
-    """
-    for least, most in _distance_bounds(first, second, MOST_PIECES, limit=distance):
-        if most <= distance:
-            return True
-        if least > distance:
-            return False
-    return True
+def thin_share(mesh: Mesh) -> float:
+    """Return the share of a closed mesh's surface whose wall is thinner than `THINNEST`."""
+    points, drawn = sample_surface(mesh, WALL_POINTS, seed=0)
+    inward = -mesh.normals[drawn]
+    walls = ray_distance(mesh, points + INWARD * inward, inward)
+    return float((walls < THINNEST).mean())
 
 
-def surface_distance(first: Floats, second: Floats) -> float:
-    """Return the distance of two surfaces that do not touch [m], or a little more."""
-    found = np.inf
-    for least, most in _distance_bounds(first, second, ENOUGH_PIECES, slack=SLACK):
-        found = most
-        if most - least <= ACCURACY * most:
-            break
-    return found
-
-
-def _distance_bounds(
-    first: Floats, second: Floats, pieces: int, *, limit: float = np.inf, slack: float = 0.0
-) -> Iterator[tuple[float, float]]:
-    """Yield ever closer bounds of the distance [m], until more than `pieces` are left.
-
-    Surfaces are cut into pieces that are small enough for the next bounds, and those left out that are
-    farther from the other surface than the two are from each other, or than `limit`, beyond which
-    distances are infinite.
-    """
-    size = float(max(np.ptp(each.reshape(-1, 3), axis=0).max() for each in (first, second)))
-    is_open = True
-    while is_open:
-        size /= 2
-        first, second = _cut(first, size), _cut(second, size)
-        one, other = first.mean(axis=1), second.mean(axis=1)
-        error = _piece_radius(first) + _piece_radius(second)
-        far = (1 + slack) * (limit + error)
-        there, back = _away(one, other, slack, far), _away(other, one, slack, far)
-        most = float(min(there.min(), back.min()))
-        yield max(0.0, most / (1 + slack) - error), most
-        far = (1 + slack) * (min(most, limit) + error)
-        first, second = first[there <= far], second[back <= far]
-        is_open = len(first) + len(second) <= pieces and size > FINEST_PIECE
-
-
-def _away(points: Floats, others: Floats, slack: float, far: float) -> Floats:
-    """Return the distances (n,) [m] from points to the nearest of others, infinite beyond `far`."""
-    from scipy.spatial import KDTree
-
-    return np.asarray(KDTree(others).query(points, eps=slack, distance_upper_bound=far)[0])
-
-
-def _piece_radius(pieces: Floats) -> float:
-    """Return the largest distance of a point of a piece from the piece's middle [m]."""
-    return float(np.linalg.norm(pieces - pieces.mean(axis=1, keepdims=True), axis=2).max())
-
-
-def _cut(triangles: Floats, size: float) -> Floats:
-    """Return the surface (n, 3, 3) in triangles whose edges are no longer than `size`."""
-    small = []
-    while len(triangles):
-        edges = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
-        is_small = edges.max(axis=1) <= size
-        small.append(triangles[is_small])
-        large, longest = triangles[~is_small], edges[~is_small].argmax(axis=1)
-        a, b, c = (large[np.arange(len(large)), (longest + turn) % 3] for turn in range(3))
-        middle = (a + b) / 2  # of the longest edge, where each is cut in two
-        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
-    return np.concatenate(small)
+def resolution_notes(extents: Floats, thin: float) -> Iterator[str]:
+    """Yield what is said of an object of these extents (3,) [m] with a share of thin walls."""
+    if thin > MOST_THIN:
+        yield (
+            f"{100 * thin:.0f} % of its surface is of walls thinner than {1000 * THINNEST:g} mm, and the "
+            f"simulator meets its parts {1000 * PART_MARGIN:g} mm outside their surface: these walls are met "
+            "more than twice as thick as they are"
+        )
+    if (largest := float(np.max(extents))) < SMALLEST_SIDE:
+        met = largest + 2 * PART_MARGIN
+        yield (
+            f"it is {1000 * largest:.1f} mm large, smaller than the cells of {1000 * SMALLEST_SIDE:g} mm by "
+            f"which grasps are told apart, and the simulator meets it as if it were {1000 * met:.1f} mm large"
+        )

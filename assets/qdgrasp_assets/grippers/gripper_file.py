@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from qdgrasp_assets.asset_paths import asset_folders, on_asset_path, path_problem, searched
+from qdgrasp_assets.asset_paths import on_asset_path, path_problem, searched
 from qdgrasp_assets.geometry.rotation import rotate
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 from qdgrasp_assets.grippers.urdf_checks import kind_fault
@@ -101,12 +101,6 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         if self.urdf.startswith(ON_ASSET_PATH):
             return on_asset_path(self.urdf.removeprefix(ON_ASSET_PATH))
         return toml.parent / self.urdf
-
-    def urdf_places(self, toml: Path) -> tuple[Path, ...]:
-        """Return the paths at which the URDF lies, or may lie, the first of which is taken."""
-        if self.urdf.startswith(ON_ASSET_PATH):
-            return tuple(folder / self.urdf.removeprefix(ON_ASSET_PATH) for folder in asset_folders())
-        return (toml.parent / self.urdf,)
 
 
 def urdf_path(path: Path, file: GripperFile) -> Path:

@@ -265,12 +265,6 @@ def _mesh_bytes(path: Path) -> bytes:
     return b"".join(line for line in lines if not line.startswith((b"mtllib", b"usemtl", b"#")))
 
 
-def mesh_places(robot: Urdf) -> tuple[Path, ...]:
-    """Return the paths at which a robot's meshes lie, or may lie, visual ones too."""
-    names = {mesh.get("filename", "") for mesh in robot.element.iter("mesh")}
-    return tuple(place for name in sorted(names) for place in _mesh_places(robot.path, name))
-
-
 def _mesh_places(urdf: Path, name: str) -> Iterator[Path]:
     """Yield the paths at which a referenced mesh may lie.
 

@@ -21,7 +21,7 @@ from qdgrasp_assets.asset_report import AssetReport
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.object_shape import is_in_catalog
-from qdgrasp_assets.scan_download import YCB_HOME, YCB_TERMS, WrongScan, fetch_scan
+from qdgrasp_assets.ycb import YCB_HOME, YCB_TERMS, WrongScan, fetch_scan
 from qdgrasp_coordinator.storage.outputs import OutFile, is_drawn_here
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError, InputError
@@ -123,7 +123,7 @@ def fetch(
         try:
             with _progress() as bars:
                 fetched = fetch_scan(name, home, _bar(bars, name))
-            echo(fetched.sentence)
+            echo(f"{name}: fetched, and it measures what it must: {fetched}")
         except WrongScan as error:
             refused.append(str(error))
     if refused:

@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from qdgrasp_assets.geometry.collision_parts import FingerClearance
 from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.geometry.primitives import box, hull
-from qdgrasp_assets.geometry.proximity import come_within, inside_count, ray_distance, surface_distance
+from qdgrasp_assets.geometry.proximity import inside_count, ray_distance
 from qdgrasp_assets.geometry.surface_points import sample_surface
 
 BLOCK = (0.02, 0.03, 0.05)
@@ -41,20 +38,3 @@ def test_a_mesh_may_lie_anywhere(shift):
     across = ray_distance(mesh, np.mean(mesh.bounds, axis=0)[None], UP)
     assert across == pytest.approx([0.025], abs=1e-6)
     assert FingerClearance(mesh).fit((hull(mesh.vertices),)).is_good
-
-
-BALL = np.array(trimesh.creation.icosphere(subdivisions=2, radius=0.01).triangles)
-PLATE = np.array([[(-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (0.0, 1.0, 0.0)]])
-
-
-@settings(max_examples=30)
-@given(room=st.floats(0.002, 0.2), height=st.floats(-0.3, 0.3))
-def test_a_ball_over_a_plate_of_one_triangle_is_as_far_as_its_lowest_point(room, height):
-    ball = BALL + np.array((0.0, height, room - BALL[..., 2].min()))
-    assert 0.999 * room <= surface_distance(ball, PLATE) <= 1.3 * room
-    assert not come_within(ball, PLATE, room / 2)
-    assert come_within(PLATE, ball, 2 * room)
-
-
-def test_surfaces_that_cut_each_other_come_within_anything():
-    assert come_within(BALL, PLATE, 1e-4)

@@ -5,7 +5,7 @@ import trimesh
 
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.primitives import box
-from qdgrasp_assets.geometry.resolution import (
+from qdgrasp_assets.geometry.proximity import (
     THINNEST,
     thin_share,
 )
