@@ -5,13 +5,11 @@ import pytest
 
 from qdgrasp_assets.geometry.rotation import Floats, multiply, unit
 from qdgrasp_coordinator.metrics.cells import (
-    BINS,
     MIDDLES,
     GenomeReader,
     cell_keys,
     cell_of,
     cells,
-    clear_orientations,
     niches,
     orientations,
     without_orientation,
@@ -61,20 +59,9 @@ def square() -> Floats:
     return unit(np.array([way for way in ways if np.count_nonzero(way) != 3]))
 
 
-def test_every_middle_is_in_its_own_bin() -> None:
-    assert orientations(MIDDLES).tolist() == list(range(BINS))
-
-
 def test_a_quaternion_and_its_negative_are_one_orientation() -> None:
     found = uniform(1000)
     assert np.array_equal(orientations(found), orientations(-found))
-
-
-def test_every_middle_has_twelve_neighbours_at_72_degrees() -> None:
-    between = angles(MIDDLES[:, None], MIDDLES[None])
-    nearest = np.sort(between, axis=1)[:, 1:14]
-    assert nearest[:, :12] == pytest.approx(72.0)
-    assert nearest[:, 12] == pytest.approx(120.0)
 
 
 def test_a_hand_that_stands_square_to_the_object_keeps_its_bin_when_it_is_nudged() -> None:
@@ -84,17 +71,6 @@ def test_a_hand_that_stands_square_to_the_object_keeps_its_bin_when_it_is_nudged
         nudged = multiply(nudge, np.broadcast_to(hand, nudge.shape))
         assert angles(nudged, hand).min() > 17
         assert set(orientations(nudged)) == set(orientations(hand[None]))
-
-
-def test_a_rotation_is_clear_in_the_middle_of_its_bin_and_not_on_the_border() -> None:
-    bins, clearness = clear_orientations(MIDDLES)
-    assert bins.tolist() == list(range(BINS))
-    assert clearness == pytest.approx(np.ones(BINS))
-    beside = MIDDLES[np.argsort(angles(MIDDLES[0], MIDDLES))[1]]
-    beside = beside * np.sign(beside @ MIDDLES[0])
-    way = unit(np.linspace(MIDDLES[0], MIDDLES[0] + beside, 6))
-    assert (np.diff(clear_orientations(way)[1]) < 0).all()
-    assert clear_orientations(way)[1][-1] == pytest.approx(0.0)
 
 
 SHAPE = RowShape(genes=2, joints=1)

@@ -60,19 +60,6 @@ def test_two_opposing_soft_contacts_have_the_margin_of_the_closed_form(friction,
     assert found == pytest.approx(expected, abs=FLOAT32)
 
 
-@pytest.mark.parametrize("arm", [0.1, 0.3, 0.7])
-def test_twelve_frictionless_contacts_on_a_cube_have_the_margin_of_the_closed_form(arm: float) -> None:
-    """Two contacts on each face, `arm` aside: the wrenches are (+-e_i, +-arm e_j), the hull reaches
-    max over i of |u_i| + arm |v_j|, and least for v alone, with three equal components."""
-    sides = np.array([(axis, sign, side) for axis in range(3) for sign in (1, -1) for side in (1, -1)])
-    points, normals = np.zeros((2, 12, 3))
-    rows = np.arange(12)
-    normals[rows, sides[:, 0]] = -sides[:, 1]
-    points[rows, sides[:, 0]] = sides[:, 1]
-    points[rows, (sides[:, 0] + 1) % 3] = arm * sides[:, 2]
-    assert margin(points, normals, friction=0.0) == pytest.approx(arm / np.sqrt(3), abs=FLOAT32)
-
-
 @pytest.mark.parametrize("torsion", [0.0, 0.02])
 @pytest.mark.parametrize("contacts", [3, 4, 6, 8])
 def test_the_growing_hull_ends_at_the_nearest_facet_of_the_whole_hull(contacts: int, torsion: float) -> None:

@@ -16,9 +16,8 @@ from qdgrasp_coordinator.metrics.reference_coverage import (
     coverage,
     is_stand_in,
     read_reference,
-    released_archive,
 )
-from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
+from qdgrasp_protocol.errors import AssetError, InputError
 
 
 def written(path: Path, **arrays: object) -> Path:
@@ -35,13 +34,6 @@ def test_a_set_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert mug.cells.tolist() == CM.tolist()
     assert mug.robust.cells.tolist() == [[-1, 2, 3]]
     assert (len(mug), len(mug.robust)) == (2, 1)
-
-
-def test_an_object_that_the_set_lacks_is_refused_and_those_it_has_are_named(tmp_path: Path) -> None:
-    fitness = np.zeros(2, np.uint8)
-    path = written(tmp_path / "set.npz", mug__cm=CM, mug__fitness=fitness, bowl__cm=CM, bowl__fitness=fitness)
-    with pytest.raises(UnknownName, match=r"'ycb_mug'.*Known: bowl, mug"):
-        read_reference(path, "ycb_mug")
 
 
 def saved(save: Callable[..., None], *given: object) -> bytes:
@@ -93,31 +85,6 @@ def test_the_scan_and_its_stand_in_compare_and_nothing_else_does() -> None:
         is_stand_in("ycb_bowl", mug)
 
 
-@pytest.mark.parametrize(
-    ("name", "bins", "percent"),
-    [
-        ("rubiks_cube", 29, 4.2),
-        ("mug", 33, 2.6),
-        ("power_drill", 40, 5.5),
-        ("bleach_cleanser", 46, 13.7),
-        ("tennis_ball", 28, 8.5),
-        ("bowl", 37, 5.6),
-    ],
-)
-def test_the_share_of_the_set_outside_the_cube_is_that_of_the_released_code(
-    reference_data: Path, make_scene: Callable[..., Scene], name: str, bins: int, percent: float
-) -> None:
-    """Shares that were counted in the authors' code for the Panda hand."""
-    hulls = (reference_data / "objects" / name / "collision_vhacd.obj").read_bytes()
-    archive = released_archive(make_scene("ref_panda_2f", hulls))
-    assert archive is not None
-    positions = np.load(reference_data / "reference" / "S_G_panda_2f.npz")[f"{name}.cm"] / 100
-    high = archive.low + archive.side
-    outside = ((positions < archive.low) | (positions >= high)).any(axis=1).mean()
-    assert archive.bins == bins
-    assert round(100 * outside, 1) == percent
-
-
 @pytest.fixture
 def published(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An asset path with sets of one hand: of `block`, and an empty one of `mug`."""
@@ -164,12 +131,6 @@ FOUR = reference([(1, 0, 0), (2, 0, 0), (3, 0, 0), (-4, 5, 6)], [0, 1, 2, 2])
 
 def at(*centimetres: tuple[float, float, float]) -> np.ndarray:
     return np.array(centimetres, dtype=np.float32).reshape(-1, 3) / 100
-
-
-def test_a_position_counts_once_however_often_it_was_reached() -> None:
-    reached = at((1.0, 0, 0), (1.2, 0.3, -0.4), (0.8, 0, 0), (3.1, 0, 0))
-    found = coverage(reached, np.array([0, 2, 1, 1]), FOUR)
-    assert (found.found, found.size, found.coverage) == (2, 4, 0.5)
 
 
 def test_the_robust_share_asks_for_fitness_2_on_both_sides() -> None:

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 from msgspec import structs
-from tests.coordinator.scheduler.search_plans import Plan, evaluate
 
 from qdgrasp_coordinator.metrics import run_stats
 from qdgrasp_coordinator.metrics.run_stats import BARREN, BARREN_GENOMES, CURVE_POINTS, RunCounter, count_rows
@@ -64,12 +63,6 @@ def test_a_journal_tells_that_the_last_generations_counted_nothing(size, populat
     assert count_rows(redrawn(population), blocks(good, *bad[:-1], size=size)).finished is None
 
 
-def test_an_unfinished_generation_is_not_taken_for_a_barren_one() -> None:
-    bad = barren(50, BARREN)
-    assert count_rows(redrawn(50), blocks(*bad, size=5)).finished is not None
-    assert count_rows(redrawn(50), blocks(*bad[:-1], bad[-1][:49], size=5)).finished is None
-
-
 @pytest.mark.parametrize("size", [1, 3, 100])
 def test_generations_of_a_programs_own_search_end_where_the_next_begins(size: int) -> None:
     spec = RunSpec(gripper="hand", object="thing", method="custom_contact", evaluations=9)
@@ -121,19 +114,3 @@ def test_a_curve_has_evenly_spaced_points_from_the_first_to_the_last_or_nearly(g
     assert len(steps) <= 1
     assert len(points) == min(generations, len(points)) <= CURVE_POINTS
     assert generations - (points or [0])[-1] < max(steps, default=1)
-
-
-def test_a_run_that_is_replayed_has_the_same_curve_whatever_pieces_it_comes_in() -> None:
-    plan = Plan(population=8, evaluations=100)
-    pipeline = plan.pipeline()
-    journal = []
-    while (asked := pipeline.ask()) is not None:
-        rows = plan.task.shape.empty(len(asked.indices))
-        rows["generation"], rows["index"], rows["genome"] = asked.number, asked.indices, asked.genomes
-        journal += [pipeline.settle(part).rows for part in np.array_split(evaluate(rows), 3)]
-    again = plan.pipeline()
-    for part in np.array_split(np.concatenate(journal), 7):
-        again.replay(part)
-    curve = pipeline.tally.curve("run")
-    assert again.tally.curve("run") == curve
-    assert curve.points[-1].evaluations == 100

@@ -61,16 +61,6 @@ def test_any_recorded_beginning_goes_on_to_the_same_end(plan: Plan) -> None:
         assert b"".join(rest) == expected[n:].tobytes()
 
 
-@some_plans
-def test_a_tally_of_the_journal_knows_that_the_run_is_over(plan: Plan) -> None:
-    rows = rows_in(reference(plan))
-    spec = spec_of(plan)
-    total = counted(plan, rows, size=5)
-    assert total.finished is not None
-    total.check_budget(spec)
-    assert counted(plan, rows[:-1], size=5).finished is None
-
-
 def spec_of(plan: Plan) -> RunSpec:
     same = ("population", "evaluations", "overlaps", *GOAL_KEYS)
     return RunSpec(gripper="hand", object="thing", **{name: getattr(plan, name) for name in same})

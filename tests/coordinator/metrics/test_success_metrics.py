@@ -57,14 +57,6 @@ def test_nu_from_0_to_pi_falls_into_24_bins_with_both_ends() -> None:
     assert lean.below_quarter_pi == 0.5
 
 
-def test_successes_that_aim_at_no_surface_point_have_no_nu() -> None:
-    found = rows(Outcome.HELD, Outcome.HELD)
-    found["surface_point"][0] = 0
-    found["nu"] = [0, 2]
-    lean = counted(found).nu
-    assert (sum(lean.bins), lean.below_quarter_pi) == (1, 0.0)
-
-
 @pytest.mark.parametrize("size", [1, 7, 100])
 def test_blocks_of_any_length_add_up_to_the_same(size: int) -> None:
     every = random_rows(400)

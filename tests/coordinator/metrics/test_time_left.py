@@ -3,7 +3,7 @@
 import pytest
 from tests.tools.monitor.sample_jobs import figures
 
-from qdgrasp_coordinator.metrics.time_left import QUIET_SECONDS, TimeLeft, WorkersAtWork, activity
+from qdgrasp_coordinator.metrics.time_left import QUIET_SECONDS, TimeLeft, WorkersAtWork
 from qdgrasp_protocol.messages import Heartbeat
 
 
@@ -14,31 +14,6 @@ def at_work(*signs: dict[str, object], builders: int = 0, settled: int = 0) -> W
 
 
 BEGUN = {"state": "running", "runs_open": 1, "workers": 2, "evaluations": 0, "rate": 0.0}
-WORDS = [
-    ({"state": "starting"}, at_work(), "waiting for the recorder"),
-    ({"workers": 0}, at_work(), "waiting for workers"),
-    (
-        {"building": ["a/cup.stl", "b.stl"], "runs_open": 0},
-        at_work(builders=1),
-        "building the shape of cup.stl",
-    ),
-    (
-        {"building": [f"{n}.stl" for n in range(9)], "runs_open": 0},
-        at_work(builders=4),
-        "building the shapes of 0.stl, 1.stl and 2 more",
-    ),
-    ({"runs_open": 0}, at_work(), "making the scene of the next run"),
-    ({"runs_open": 0, "building": ["cup.stl"]}, at_work(), "waiting for a worker that builds shapes"),
-    ({}, at_work(), "handing out poses"),
-    ({}, at_work(*[{"loading": True, "rows": 50}] * 2), "2 workers loading the scene"),
-    ({}, at_work(*[{"rows": 50}] * 2), "first poses: candidates are screened"),
-    ({}, at_work(*[{"rows": 50, "done": 3}] * 2), "first poses: 6 of 100 poses evaluated"),
-]
-
-
-@pytest.mark.parametrize(("more", "work", "words"), WORDS)
-def test_it_is_said_what_a_job_does_before_its_first_row(more, work: WorkersAtWork, words: str) -> None:
-    assert activity(figures(**(BEGUN | more)), work, has_begun=False) == words
 
 
 def test_the_time_left_hardly_grows_and_is_about_right() -> None:

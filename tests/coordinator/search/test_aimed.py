@@ -14,7 +14,6 @@ from tests.coordinator.search.synthetic_scene import (
     space,
 )
 
-from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.search.base import SearchSpace
 from qdgrasp_coordinator.search.registry import AIMED, method, prior_of
@@ -28,7 +27,6 @@ from qdgrasp_coordinator.search.value_search import (
     ValueSearch,
     directions,
     exploration_grasps,
-    scatter_grasps,
 )
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -131,17 +129,6 @@ def test_without_a_success_it_explores_on_and_aims_anywhere(outcome: Outcome) ->
     assert (looseness[:200] == 1).mean() < 0.1
     assert (looseness[-500:] == 1).mean() == pytest.approx(0.5, abs=0.1)
     assert len(np.unique(rows["genome"], axis=0)) == len(rows)
-
-
-def test_scattered_aims_stay_in_their_cells_and_are_all_different() -> None:
-    n = 500
-    whole = np.random.default_rng(1).integers(-20, 20, (n, 3)) / 100
-    aims = AimedGrasps(whole, np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.zeros((n, 2)))
-    beside = scatter_grasps(aims, np.random.default_rng(0))
-    assert (cells(beside.targets) == cells(whole)).all()
-    for column in (beside.targets - whole, beside.contacts, beside.rolls[:, None]):
-        assert len(np.unique(column, axis=0)) == n
-    assert np.abs(beside.contacts).max() < 0.015
 
 
 def drawn(free_share: float, n: int = 2000) -> AimedGrasps:

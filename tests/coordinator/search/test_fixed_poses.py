@@ -9,12 +9,11 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.metrics.successes import TrialPlan
-from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_coordinator.search.fixed_poses import as_given, read_poses, scores, write_scores
-from qdgrasp_coordinator.search.registry import METHODS, check_spec, method
+from qdgrasp_coordinator.search.registry import method
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import GIVEN, Outcome, RowShape
-from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.object_geometry import ObjectSurface
 
@@ -22,24 +21,6 @@ SPEC_POSES = tuple(
     tuple(float(str(x)) for x in row) for row in np.random.default_rng(2).normal(size=(7, 9)).astype("f4")
 )
 SPEC = RunSpec(gripper="panda", object="mug", method="given", poses=SPEC_POSES, evaluations=7, population=3)
-
-
-def test_the_poses_of_a_spec_are_asked_in_their_order_bit_for_bit() -> None:
-    search = method("given").build(from_toml(to_toml(SPEC)), plain(9))
-    asked = [search.ask(generation) for generation in range(4)]
-    assert [len(genomes) for genomes in asked] == [3, 3, 1, 0]
-    assert (
-        np.concatenate(asked).tobytes() == np.random.default_rng(2).normal(size=(7, 9)).astype("f4").tobytes()
-    )
-
-
-def test_poses_are_for_the_method_given_and_needed_by_it() -> None:
-    check_spec(SPEC)
-    with pytest.raises(ImpossibleValue, match="left out for method 'me_scs'"):
-        check_spec(msgspec.structs.replace(SPEC, method="me_scs"))
-    with pytest.raises(ImpossibleValue, match="lists of numbers for method 'given'"):
-        full_spec({"gripper": "panda", "object": "mug", "method": "given"})
-    assert "given" not in METHODS
 
 
 @pytest.mark.parametrize(
@@ -121,11 +102,6 @@ def test_labels_and_free_joints_that_are_not_said_stand_for_the_open_hand_and_al
         for name, asked in {"plain.npz": {}, "said.npz": silent}.items()
     )
     assert plain.tobytes() == said.tobytes()
-
-
-def test_a_missing_array_is_named_with_those_that_are_there(tmp_path):
-    with pytest.raises(InputError, match=r"base_quaternion_xyzw.*base_position"):
-        read_poses(saved(tmp_path / "poses.npz", base_position=POSES["base_position"]))
 
 
 def test_scores_are_false_and_zero_for_overlaps(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 
 from qdgrasp_assets.geometry.rotation import conjugate, from_frame, multiply, tangents, turned, unit
 from qdgrasp_coordinator.search.base import keyed_generator
-from qdgrasp_coordinator.search.frontier import FIRST_CAPACITY, EliteStore, Frontier, Places, outcome_ranks
+from qdgrasp_coordinator.search.frontier import EliteStore, Frontier, Places, outcome_ranks
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
 BOX = (np.full(3, -0.05), np.full(3, 0.05))
@@ -21,14 +21,6 @@ def generator(number: int = 0) -> np.random.Generator:
 @pytest.fixture
 def frontier() -> Frontier:
     return Frontier(BOX, REACH)
-
-
-def test_places_and_centres_are_each_others_inverse(frontier: Frontier) -> None:
-    cells = np.stack(np.meshgrid(*[np.arange(-5, 6)] * 3), axis=-1).reshape(-1, 3)
-    places = frontier.places(cells / 100)
-    assert len(np.unique(places)) == 11**3
-    assert places.min() >= 0
-    assert frontier.centres(places) == pytest.approx(cells / 100)
 
 
 def test_cells_that_no_contact_point_is_near_or_far_enough_from_are_not_aimed_at() -> None:
@@ -71,26 +63,6 @@ def offer(kept: EliteStore, places: Places, told: Rows) -> None:
 
 def of(places: list[int]) -> np.ndarray:
     return np.array(places, dtype=np.intp)
-
-
-def test_a_better_one_replaces_it_and_an_equal_one_does_not() -> None:
-    kept = elite_store()
-    for outcome, expected in [*[(Outcome.SHAKEN, 0)] * 2, (Outcome.DROPPED, 0), (Outcome.HELD, 9)]:
-        told = rows([outcome] * 4)[3:]
-        told["surface_point"] += 0 if len(kept) == 0 else 9
-        offer(kept, of([7]), told)
-        assert kept.points(of([7]))[0, 0] == 9 + expected
-    assert len(kept) == 1
-
-
-def test_there_is_room_for_any_number() -> None:
-    kept, n = elite_store(), 5 * FIRST_CAPACITY
-    for start in range(0, n, 500):
-        told = rows([Outcome.DROPPED] * min(500, n - start))
-        told["surface_point"] += start
-        offer(kept, np.arange(start, start + len(told)), told)
-    assert len(kept) == n
-    assert kept.points(np.arange(n))[501].tolist() == [503, 504, 505]
 
 
 @pytest.mark.parametrize("axis", [(0, 0, 1), (1, 0, 0), (0, -1, 0)])

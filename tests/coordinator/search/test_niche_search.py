@@ -5,20 +5,14 @@ import pytest
 from tests.coordinator.search.synthetic_scene import Poses, evaluate, play, shape, space
 from tests.coordinator.search.test_aimed import POSTURE, build, spec, targets
 
-from qdgrasp_assets.genes import TOUCH_VALUE
 from qdgrasp_assets.geometry.rotation import unit
 from qdgrasp_coordinator.metrics.cells import BINS, MIDDLES, cell_keys, cells, orientations
-from qdgrasp_coordinator.search.frontier import FIRST_CAPACITY, NO_SLOT
 from qdgrasp_coordinator.search.niche_search import (
     KindReader,
-    NicheFrontier,
-    NicheStore,
 )
 from qdgrasp_coordinator.search.value_search import LOOSENESS, posture_genes
-from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.rows import Outcome, Rows
 
-PLACES = 200
-BOX = (np.full(3, -0.05), np.full(3, 0.05))
 KINDS = {"aim_for": "hold", "diversity": "orientation"}
 
 
@@ -83,43 +77,3 @@ def test_the_kind_of_a_proposed_grasp_is_that_of_its_pose() -> None:
     assert is_clear.mean() > 0.99
     assert proposed[is_clear].tolist() == reader.of_rows(rows)[is_clear].tolist()
     assert len(set(proposed.tolist())) > BINS
-
-
-def test_a_store_knows_the_niches_that_one_counts_by_hand() -> None:
-    random, store = np.random.default_rng(2), NicheStore(PLACES, (0.0, 0.0, 1.0), 1)
-    known: dict[tuple[int, int], float] = {}
-    while len(known) <= 2 * FIRST_CAPACITY:
-        places, kinds = random.integers(0, PLACES, 40), random.integers(0, BINS, 40)
-        quality = random.random(40)
-        pairs = list(zip(places.tolist(), kinds.tolist(), strict=True))
-        assert (store.find(places, kinds) != NO_SLOT).tolist() == [pair in known for pair in pairs]
-        niches = store.make(places, kinds)
-        store.raise_best(niches, quality)
-        rows = RowShape(genes=1, joints=1).empty(40)
-        rows["base_to_object"][:, 6] = 1.0
-        rows["surface_point"][:, 0] = kinds
-        store.offer(niches, rows, quality)
-        for pair, value in zip(pairs, quality.tolist(), strict=True):
-            known[pair] = max(known.get(pair, 0.0), value)
-    rows, niches = store.among(np.arange(PLACES).reshape(-1, 10))
-    found = list(zip(store.places(niches).tolist(), store.kinds(niches).tolist(), strict=True))
-    assert sorted(found) == sorted(known)
-    assert (store.places(niches) // 10).tolist() == rows.tolist()
-    assert store.best(niches).tolist() == store.ranks(niches).tolist() == [known[pair] for pair in found]
-    assert store.points(niches)[:, 0].tolist() == store.kinds(niches).tolist()
-
-
-@pytest.fixture
-def frontier() -> NicheFrontier:
-    return NicheFrontier(BOX, 0.1, most=2)
-
-
-def test_a_cell_is_weighed_by_what_it_gave_for_what_was_spent(frontier: NicheFrontier) -> None:
-    places = frontier.places(np.array([[0.0, 0, 0], [0.03, 0, 0], [0.03, 0.03, 0]]))
-    frontier.add_grasps(places, np.full((3, 3), 0.01), np.ones(3))
-    frontier.count_tries(places[:2].repeat(3))
-    frontier.add_gains(places[[0, 2]], np.ones(2), places[[0, 2]])
-    features = frontier.features(places)
-    value = TOUCH_VALUE + (1 - TOUCH_VALUE) * frontier.quality.likely(features)
-    expected = frontier.touch.likely(features) * value * [2 / 4, 1 / 4, 1.0]
-    assert frontier.worth(places) == pytest.approx(expected)

@@ -129,9 +129,3 @@ def test_mutation_moves_the_stated_share_of_genes_by_the_stated_spread() -> None
     assert moved.mean() == pytest.approx(0.3, abs=0.01)
     assert children[moved].std() == pytest.approx(0.1, abs=0.002)
     assert (~moved.any(axis=1)).mean() == pytest.approx(0.7**7, abs=0.01)
-
-
-def test_mutation_is_clipped_to_the_cube() -> None:
-    children = mutate(np.ones((1000, 3), dtype=np.float32), 2.0, 1.0, generator())
-    assert (children.min(), children.max()) == (-1, 1)
-    assert children.dtype == np.float32

@@ -5,8 +5,6 @@ import pytest
 
 from qdgrasp_coordinator.search.success_model import (
     FIT_INTERVAL,
-    LEAST_WANTED,
-    WEIGHT_GRAIN,
     LogisticRegression,
     ValueThreshold,
     fit,
@@ -25,41 +23,6 @@ def poses(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 def test_a_fit_finds_the_weights_that_made_the_successes() -> None:
     assert fit(*poses(20_000), UNKNOWN, PLAIN) == pytest.approx(TRUE, abs=0.15)
-
-
-def test_likelihoods_are_those_of_the_examples() -> None:
-    model = LogisticRegression(UNKNOWN)
-    features, successes = poses(2000)
-    model.learn(features, successes)
-    likely = model.likely(features)
-    for low in (0.0, 0.2, 0.4, 0.6, 0.8):
-        is_like = (likely >= low) & (likely < low + 0.2)
-        assert successes[is_like].mean() == pytest.approx(likely[is_like].mean(), abs=0.08)
-
-
-def test_in_its_own_units_a_small_feature_tells_as_much_as_a_large_one() -> None:
-    features, successes = poses(2000)
-    small = features * ([1e-3] * 5 + [1.0])
-    large_model, small_model = (LogisticRegression(UNKNOWN, own_units=True) for _ in range(2))
-    large_model.learn(features, successes)
-    small_model.learn(small, successes)
-    assert small_model.likely(small) == pytest.approx(large_model.likely(features), abs=0.02)
-
-
-def test_it_forgets_what_is_long_ago() -> None:
-    model = LogisticRegression(UNKNOWN)
-    features, successes = poses(3000)
-    model.learn(features, ~successes)
-    assert model.weights[0] < 0
-    for block in range(10):
-        model.learn(features[block * 250 :][:250], successes[block * 250 :][:250])
-    assert model.weights[0] > 0
-
-
-def test_weights_are_whole_grains() -> None:
-    model = LogisticRegression(UNKNOWN)
-    model.learn(*poses(FIT_INTERVAL))
-    assert (model.weights * WEIGHT_GRAIN == np.rint(model.weights * WEIGHT_GRAIN)).all()
 
 
 def test_what_it_is_taught_holds_until_examples_say_otherwise() -> None:
@@ -96,15 +59,5 @@ def test_less_is_wanted_while_hardly_anything_is_simulated() -> None:
     threshold.update(ALL)
     assert wanted(threshold) < 0.15
     for _ in range(20):
-        threshold.update(ALL)
-    assert wanted(threshold) == pytest.approx(WANTED)
-
-
-def test_something_is_always_wanted_and_it_comes_back_from_the_least() -> None:
-    threshold = ValueThreshold(WANTED, LEAST_SHARE)
-    for _ in range(10_000):
-        threshold.update(NONE)
-    assert wanted(threshold, 10**6) == wanted(threshold) == LEAST_WANTED
-    for _ in range(100):
         threshold.update(ALL)
     assert wanted(threshold) == pytest.approx(WANTED)

@@ -9,23 +9,18 @@ from tests.coordinator.scenes import made_scene
 from tests.coordinator.search.synthetic_scene import covered, evaluate, play, space
 from tests.coordinator.search.test_aimed import build, spec, targets
 
-from qdgrasp_assets.genes import STEEPEST_VALUE, TOUCH_VALUE, VALUE_FEATURES
-from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.search.base import search_space
-from qdgrasp_coordinator.search.frontier import FULL_QUALITY, NEIGHBOURS, Frontier
-from qdgrasp_coordinator.search.success_model import FIRST_QUALITY_WEIGHTS, FIRST_TOUCH_WEIGHTS
 from qdgrasp_coordinator.search.value_search import (
     FULL_ETAS,
     FULL_MARGIN,
     LOOSENESS,
     QUALITY_GRAIN,
-    ValueModel,
     ValueSearch,
     quality_measure,
 )
-from qdgrasp_protocol.rows import Outcome, RowShape
+from qdgrasp_protocol.rows import Outcome
 
 SPACE = space("valued")
 
@@ -70,85 +65,6 @@ def test_a_cell_passes_on_the_grasp_that_is_best_by_the_objective(aim_for: str) 
     seeking.tell(0, rows)
     passed_on = seeking._elites.points(seeking._frontier.places(np.zeros((1, 3))))
     assert passed_on.tolist() == rows["surface_point"][[BEST[aim_for]]].tolist()
-
-
-BOX = (np.full(3, -0.05), np.full(3, 0.05))
-MIDDLE = np.zeros((1, 3), int)
-
-
-@pytest.fixture
-def frontier() -> Frontier:
-    return Frontier(BOX, 0.1)
-
-
-def add(frontier: Frontier, found: np.ndarray, quality: Floats) -> None:
-    """Add grasps in cells (n, 3) that look at points 5 cm below."""
-    positions = found / 100
-    frontier.add_grasps(frontier.places(positions), positions - [0, 0, 0.05], np.asarray(quality, float))
-
-
-def test_cells_features_and_worth_are_those_that_one_finds_cell_by_cell(frontier: Frontier) -> None:
-    random = np.random.default_rng(1)
-    best: dict[tuple[int, ...], float] = {}
-    for _ in range(12):
-        new = random.integers(-5, 6, (8, 3))
-        quality = random.choice([0.0, 0.25, 0.5, FULL_QUALITY, 1.0], 8)
-        add(frontier, new, quality)
-        for cell, value in zip(map(tuple, new.tolist()), quality.tolist(), strict=True):
-            best[cell] = max(best.get(cell, 0.0), value)
-        edge = [tuple(cell) for cell in np.rint(frontier.centres(frontier.edge) * 100).astype(int).tolist()]
-        near = {tuple(step) for cell in best for step in (*(NEIGHBOURS + cell).tolist(), cell)}
-        assert len(edge) == len(set(edge))
-        assert set(edge) == {c for c in near if max(map(abs, c)) <= 5 and best.get(c, 0.0) < FULL_QUALITY}
-        around = [[best.get(tuple(one), -1.0) for one in (NEIGHBOURS + cell).tolist()] for cell in edge]
-        features = frontier.features(frontier.edge)
-        assert features[:, 2] == pytest.approx((np.array(around) >= 0).mean(axis=1))
-        assert features[:, 3] == pytest.approx(np.maximum(around, 0).sum(axis=1) / 26)
-        assert features[:, 4].tolist() == [cell in best for cell in edge]
-        touch, hold = (
-            1 / (1 + np.exp(-features @ weights)) for weights in (FIRST_TOUCH_WEIGHTS, FIRST_QUALITY_WEIGHTS)
-        )
-        left = 1.0 - np.array([best.get(cell, 0.0) for cell in edge])
-        value = touch * (TOUCH_VALUE * (1 - features[:, 4]) + (1 - TOUCH_VALUE) * hold * left)
-        assert frontier.worth(frontier.edge) == pytest.approx(value)
-
-
-def test_it_learns_touch_of_all_tries_and_quality_of_successes_alone(frontier) -> None:
-    """Grasps far from the contact point seldom touch; those that do are all held, others never."""
-    random = np.random.default_rng(0)
-    features = np.zeros((2000, 6))
-    features[:, 0] = random.uniform(0.2, 1.2, 2000)
-    features[:, 1], features[:, 5] = features[:, 0] ** 2, 1.0
-    is_far = features[:, 0] > 0.7
-    is_success = random.random(2000) < np.where(is_far, 0.1, 0.9)
-    frontier.learn_quality(features, is_success, np.where(is_success, is_far, 0.0))
-    near, far = np.array([0.3, 0.09, 0, 0, 0, 1]), np.array([1.1, 1.21, 0, 0, 0, 1])
-    touch, hold = (model.likely(np.stack([near, far])) for model in (frontier.touch, frontier.quality))
-    assert touch[0] > 3 * touch[1]
-    assert hold[1] > 3 * hold[0]
-
-
-N = len(VALUE_FEATURES)
-
-
-def test_candidates_are_ranked_by_models_of_touch_and_quality_once_both_can_be_told() -> None:
-    """One feature decides on touch, another one on what a touch is worth."""
-    random, model = np.random.default_rng(0), ValueModel()
-    wanted = np.array([0.0, 0.3])
-    assert not model.ranking(wanted).any()
-    rows = RowShape(genes=1, joints=1, descriptors=3 + N).empty(1500)
-    features = np.concatenate([random.random((1500, N - 1)), np.ones((1500, 1))], axis=1)
-    rows["descriptor"][:, 3:] = features
-    is_success = features[:, 1] > 0.5
-    rows["outcome"] = np.where(is_success, Outcome.HELD, Outcome.MISSED)
-    model.learn(rows, np.where(is_success, features[:, 6], 0.0))
-    ranking = model.ranking(wanted)
-    assert ranking[:, -1].tolist() == wanted.tolist()
-    touch, quality = ranking[0, :N], ranking[0, N:-1]
-    assert (touch[:-1].argmax(), quality[:-1].argmax()) == (1, 6)
-    assert ranking[1, :-1].tolist() == ranking[0, :-1].tolist()
-    model.touch.weights = np.full(N, -1000.0)
-    assert (model.ranking(wanted)[:, :N] == -STEEPEST_VALUE).all()
 
 
 @pytest.mark.parametrize(

@@ -86,11 +86,6 @@ def test_the_share_is_of_those_that_hold_as_recorded(folder):
     assert HeldShare(0, 0).words == "0 of 0"
 
 
-def test_a_table_of_the_run_s_own_engine_tells_nothing_more(folder):
-    write(folder, [0], HELD, engine="bullet")
-    assert other_tables(folder) == {}
-
-
 @pytest.mark.parametrize(
     "text",
     ["row,outcome\n1,held\n"]

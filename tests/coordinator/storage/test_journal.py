@@ -88,21 +88,6 @@ def test_the_digest_is_of_rows_and_not_of_blocks_or_costs(tmp_path: Path) -> Non
     assert all(len(text) == 64 for text in digests)
 
 
-def test_the_digest_changes_with_any_bit_of_any_column(tmp_path: Path) -> None:
-    digests = set()
-    offsets = [offset for kind, offset, *_ in (SHAPE.dtype.fields or {}).values() if kind.itemsize]
-    for offset in [None, *offsets]:
-        raw = bytearray(make_rows(20).tobytes())
-        if offset is not None:
-            raw[19 * SHAPE.dtype.itemsize + offset] ^= 1
-        folder = tmp_path / str(offset)
-        folder.mkdir()
-        record(folder, np.frombuffer(raw, SHAPE.dtype), [20])
-        with Journal.open(folder) as journal:
-            digests.add(journal_digest(journal))
-    assert len(digests) == 1 + len(offsets)
-
-
 def test_the_table_of_successes_says_what_the_rows_say(tmp_path: Path) -> None:
     rows = make_rows(300)
     record(tmp_path, rows, [100, 200])
@@ -117,28 +102,6 @@ def test_the_table_of_successes_says_what_the_rows_say(tmp_path: Path) -> None:
     assert_array_equal(np.float32(poses), rows["base_to_object"][at])
     found = [[line[name] for name in ("cell_x", "cell_y", "cell_z")] for line in table]
     assert_array_equal(found, cells(rows["descriptor"][at]))
-
-
-def test_trials_are_rows_and_no_successes_of_their_own(tmp_path: Path) -> None:
-    rows = make_rows(60)
-    rows["outcome"] = Outcome.HELD
-    rows["trial"] = np.arange(60) % 3
-    record(tmp_path, rows, [25, 35])
-    with sqlite3.connect(tmp_path / JOURNAL) as database:
-        assert database.execute("SELECT row FROM successes ORDER BY row").fetchall() == [
-            (row,) for row in range(0, 60, 3)
-        ]
-
-
-def test_reasons_of_errors_stay_with_their_rows(tmp_path: Path) -> None:
-    rows = make_rows(30)
-    with JournalWriter.create(tmp_path, IDENTITY) as journal:
-        for first in (0, 10, 20):
-            failures = (Failure(row=3, reason=f"aborted {first}"),)
-            journal.append(JournalSlice(first, rows[first : first + 10], failures=failures), 1, 0.0)
-        assert journal.errors() == {3: "aborted 0", 13: "aborted 10", 23: "aborted 20"}
-        page = journal.slice(12, 10)
-    assert [(failure.row, failure.reason) for failure in page.failures] == [(1, "aborted 10")]
 
 
 def test_rows_that_are_not_the_next_are_refused(tmp_path: Path) -> None:
@@ -162,14 +125,6 @@ def test_wall_seconds_are_those_of_each_turn_and_not_the_pauses_between(tmp_path
         journal.begin_epoch(2, 5001.0)
         journal.append(JournalSlice(10, rows[10:]), 2, 5004.0)
         assert journal.wall_seconds == 7.0
-
-
-def test_the_platform_is_known_once_there_are_rows(tmp_path: Path) -> None:
-    with JournalWriter.create(tmp_path, IDENTITY) as journal:
-        journal.set_platform({"pybullet": "3.2.7"})
-        assert journal.platform == {}
-        journal.append(JournalSlice(0, make_rows(1)), 1, 0.0)
-        assert journal.platform == {"pybullet": "3.2.7"}
 
 
 def test_a_reader_sees_the_journal_as_it_was_when_it_was_opened(tmp_path: Path) -> None:
@@ -245,14 +200,6 @@ def check_refused(folder: Path, words: str) -> None:
 
 
 class TestRefusals:
-    def test_a_folder_without_a_journal_is_named(self, tmp_path: Path) -> None:
-        check_refused(tmp_path, "holds no journal")
-
-    @pytest.mark.parametrize("content", [b"", b"not a database, but long enough to look like one" * 100])
-    def test_a_file_that_is_no_journal_is_refused(self, tmp_path: Path, content: bytes) -> None:
-        (tmp_path / JOURNAL).write_bytes(content)
-        check_refused(tmp_path, "not a journal of qdgrasp")
-
     def test_another_programs_database_is_refused_and_not_touched(self, tmp_path: Path) -> None:
         with sqlite3.connect(tmp_path / JOURNAL) as database:
             database.execute("CREATE TABLE mine (a)")
@@ -295,26 +242,6 @@ class TestRefusals:
             list(journal.blocks())
 
 
-def test_a_page_in_front_of_all_blocks_is_damage(tmp_path: Path) -> None:
-    record(tmp_path, make_rows(100), [50, 50])
-    with sqlite3.connect(tmp_path / JOURNAL) as database:
-        database.execute("DELETE FROM blocks WHERE first = 0")
-    with Journal.open(tmp_path) as journal, pytest.raises(FolderError, match="rows 0 to 9 are missing"):
-        journal.slice(0, 10)
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_journal_in_a_folder_that_nobody_may_write_is_read(tmp_path: Path) -> None:
-    rows = make_rows(20)
-    record(tmp_path, rows, [20])
-    tmp_path.chmod(0o555)
-    try:
-        with Journal.open(tmp_path) as journal:
-            assert journal.rows(0, 100).tobytes() == rows.tobytes()
-    finally:
-        tmp_path.chmod(0o755)
-
-
 class ClosedPlace:
     """A connection to a database in a folder where no file beside it can be made."""
 
@@ -344,31 +271,11 @@ def test_rows_that_cannot_be_read_in_a_closed_place_are_not_left_out(tmp_path, m
         assert journal.count == 20
 
 
-def test_a_closed_journal_is_not_said_to_be_damaged(tmp_path: Path) -> None:
-    record(tmp_path, make_rows(10), [10])
-    with Journal.open(tmp_path) as journal:
-        pass
-    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
-        list(journal.blocks())
-
-
 def ten_rows() -> JournalSlice:
     rows = RowShape(genes=1, joints=0).empty(10)
     rows["index"] = np.arange(10)
     failures = tuple(Failure(row=row, reason=f"row {row}") for row in (0, 4, 9))
     return JournalSlice(100, rows, 5.0, failures)
-
-
-@pytest.mark.parametrize(("first", "stop"), [(100, 110), (100, 104), (104, 110), (103, 106), (90, 200)])
-def test_a_part_has_the_rows_and_failures_of_its_numbers(first: int, stop: int) -> None:
-    part = ten_rows().part(first, stop)
-    first, stop = max(first, 100), min(stop, 110)
-    assert (part.first, part.stop) == (first, stop)
-    assert part.rows["index"].tolist() == list(range(first - 100, stop - 100))
-    assert part.cpu_seconds == pytest.approx((stop - first) / 2)
-    for failure in part.failures:
-        assert failure.reason == f"row {part.rows[failure.row]['index']}"
-    assert len(part.failures) == sum(first <= 100 + row < stop for row in (0, 4, 9))
 
 
 @pytest.mark.parametrize("cuts", [[100, 110], [100, 101, 110], [100, 103, 104, 109, 110]])

@@ -2,12 +2,10 @@
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import DiskFull, OutputError
@@ -47,12 +45,6 @@ def fail(output: Output, error: BaseException) -> None:
 
 
 @each_kind
-def test_nothing_is_made_by_looking(kind: Callable[[Path], Output], tmp_path: Path) -> None:
-    kind(tmp_path / "a" / "b" / "out").check()
-    assert there(tmp_path) == []
-
-
-@each_kind
 def test_folders_on_the_way_are_made_for_what_is_written(kind, tmp_path) -> None:
     with kind(tmp_path / "a" / "b" / "out").writing() as made:
         assert made.name == "out"
@@ -68,25 +60,11 @@ def test_what_fails_leaves_nothing_not_even_the_folders_on_the_way(kind, tmp_pat
     assert there(tmp_path) == ["a"]
 
 
-def test_a_folder_on_the_way_that_somebody_else_has_used_meanwhile_stays(tmp_path: Path) -> None:
-    with suppress(KeyboardInterrupt), OutFile(tmp_path / "a" / "b" / "out").writing():
-        (tmp_path / "a" / "other").touch()
-        raise KeyboardInterrupt
-    assert there(tmp_path) == ["a", "a/other"]
-
-
 @each_kind
 def test_what_lies_below_a_file_is_refused(kind: Callable[[Path], Output], tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     out = tmp_path / "file" / "a" / "out"
     assert refused(kind(out)) == f"{out} lies below {tmp_path / 'file'}, which is a file; {ADVICE}."
-
-
-@each_kind
-def test_a_folder_that_may_not_be_written_in_is_named(kind, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(outputs.os, "access", lambda path, _: Path(path) != tmp_path)
-    out = tmp_path / "a" / "out"
-    assert refused(kind(out)) == f"{out} cannot be written: {tmp_path} is not to be written in; {ADVICE}."
 
 
 @pytest.mark.parametrize("force", [False, True, None])
@@ -146,13 +124,6 @@ def test_a_file_takes_the_place_of_none_that_is_read(tmp_path: Path, force: bool
         output = OutFile(tmp_path / name, force=force, inputs=(tmp_path / "nowhere", tmp_path / "read"))
         assert refused(output) == f"{tmp_path / name} is a file that is read here; {ADVICE}."
     OutFile(tmp_path / "new", inputs=(tmp_path / "nowhere", tmp_path / "read")).check()
-
-
-def test_an_empty_folder_becomes_what_is_written(tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    with OutFolder(tmp_path / "out").writing() as made:
-        fill(made, OutFolder)
-    assert there(tmp_path) == ["out", "out/inside"]
 
 
 def test_a_folder_with_other_files_stays_whatever_is_forced(tmp_path: Path) -> None:

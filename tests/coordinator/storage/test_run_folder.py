@@ -34,11 +34,6 @@ def test_a_new_folder_holds_the_spec_the_scene_and_the_job(folder: RunFolder) ->
     assert sorted(entry.name for entry in folder.path.parent.iterdir()) == ["My run 1"]
 
 
-def test_an_empty_folder_may_become_a_runs(tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    assert RunFolder.create(tmp_path / "run", SPEC, BUNDLE).spec == SPEC
-
-
 def test_another_run_is_never_overwritten_and_its_resume_is_named(folder: RunFolder) -> None:
     for refuse in (RunFolder.check_free, lambda path: RunFolder.create(path, SPEC, BUNDLE)):
         with pytest.raises(FolderError, match=f"`qdgrasp resume {folder.path}`"):
@@ -84,28 +79,6 @@ def test_a_job_has_an_identity_that_no_other_of_its_name_has(folder: RunFolder, 
     before = again.identity
     again.set_epoch(2)
     assert again.identity == before
-
-
-@pytest.mark.parametrize("damaged", [b'{"job": "a", "epoch"', b'{"job": "\xff", "epoch": 3}'])
-def test_a_damaged_job_file_is_named(folder: RunFolder, damaged: bytes) -> None:
-    (folder.path / "job.json").write_bytes(damaged)
-    with pytest.raises(FolderError, match=r"job\.json is damaged"):
-        assert folder.job.epoch
-
-
-def test_the_endpoint_is_known_from_when_it_is_written_until_it_is_forgotten(folder: RunFolder) -> None:
-    assert folder.job.endpoint is None
-    folder.job.write_endpoint("tcp/127.0.0.1:7447")
-    assert RunFolder.open(folder.path).job.endpoint == "tcp/127.0.0.1:7447"
-    folder.job.forget_endpoint()
-    folder.job.forget_endpoint()
-    assert folder.job.endpoint is None
-
-
-def test_a_journal_that_no_recorder_has_opened_is_empty(folder: RunFolder) -> None:
-    with folder.journal() as journal:
-        assert journal.count == 0
-        assert journal.spec == SPEC
 
 
 def recorded(folder: RunFolder, spec: RunSpec = SPEC) -> RunFolder:
