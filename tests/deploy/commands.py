@@ -1,9 +1,7 @@
 """The command lines in deploy/, held to the commands that there are."""
 
-import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import typer
@@ -39,8 +37,3 @@ def understood(words: Sequence[str]) -> dict[str, Any]:
         name, *arguments = arguments
         command = command.commands[name]
     return dict(command.make_context(name, arguments).params)
-
-
-def filled(line: str, values: Mapping[str, str]) -> list[str]:
-    """Return the words of a command line with its variables filled in; raises KeyError."""
-    return [Template(word).substitute(values) for word in shlex.split(line)]

@@ -105,7 +105,7 @@ def test_pods_run_their_commands_and_workers_find_the_router() -> None:
     assert set(targets) <= deployed
 
 
-def test_workers_are_waited_for_longer_than_their_grace_and_have_the_memory_they_may_use() -> None:
+def test_workers_are_waited_for_longer_than_their_grace() -> None:
     unit = DEPLOY / "systemd" / "qdgrasp-worker@.service"
     script = DEPLOY / "slurm" / "workers.sbatch"
     slurm = dict(re.findall(r"^#SBATCH --([\w-]+)=?(.*)$", script.read_text(), re.M))
@@ -121,14 +121,3 @@ def test_workers_are_waited_for_longer_than_their_grace_and_have_the_memory_they
     ]
     for grace, waited in graces:
         assert grace + END_SECONDS <= float(waited)
-    limit = pod["resources"]["limits"]["memory"]
-    memories = [
-        (
-            understood(unit_command(unit))["memory"],
-            1024 * float(unit_settings(unit)["MemoryMax"].removesuffix("G")),
-        ),
-        (understood(slurm_command(script))["memory"], float(slurm["mem-per-cpu"].removesuffix("M"))),
-        (pod_options("qdgrasp-worker")["memory"], float(limit[:-2]) * {"Mi": 1, "Gi": 1024}[limit[-2:]]),
-    ]
-    for used, given in memories:
-        assert 1.2 * used <= given

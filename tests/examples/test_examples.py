@@ -211,9 +211,3 @@ def test_a_folder_without_the_marker_is_left_alone(tmp_path):
     with pytest.raises(FolderError, match=MARKER):
         clear(tmp_path)
     assert (tmp_path / "thesis.tex").exists()
-
-
-def test_nothing_and_an_empty_folder_need_no_clearing(tmp_path):
-    clear(tmp_path / "demo")
-    clear(tmp_path)
-    assert tmp_path.is_dir()

@@ -43,7 +43,7 @@ class Mutator:
         self.choose = self._chance.choice
         self._corpus = corpus
         self._ways: list[Callable[[bytearray], bytes]] = [
-            self._flip, self._set, self._cut, self._drop, self._repeat, self._insert, self._splice,
+            self._flip, self._set, self._cut, self._insert, self._splice,
             self._value, self._value, self._value,
         ]  # fmt: skip
 
@@ -70,15 +70,6 @@ class Mutator:
 
     def _cut(self, message: bytearray) -> bytes:
         return bytes(message[: self._place(message)])
-
-    def _drop(self, message: bytearray) -> bytes:
-        at = self._place(message)
-        return bytes(message[:at] + message[at + self._chance.randint(1, 20) :])
-
-    def _repeat(self, message: bytearray) -> bytes:
-        at = self._place(message)
-        piece = message[at : at + self._chance.randint(1, 20)]
-        return bytes(message[:at] + piece * self._chance.choice((1, 2, 100, 5000)) + message[at:])
 
     def _insert(self, message: bytearray) -> bytes:
         at = self._place(message)

@@ -34,9 +34,3 @@ def test_twenty_thousand_changed_messages_are_refused_or_taken() -> None:
     assert result.growth < GROWTH
     assert set(result.taken) >= set(CONSUMERS), "changes that leave a message good are tried too"
     assert result.refused["MessageError"] > MESSAGES / 2
-
-
-def test_the_same_seed_gives_the_same_changes() -> None:
-    first, second, third = (run(500, seed=seed) for seed in (1, 1, 2))
-    assert (first.taken, first.refused) == (second.taken, second.refused)
-    assert (first.taken, first.refused) != (third.taken, third.refused)

@@ -159,26 +159,6 @@ def test_a_command_that_takes_its_time_to_stop_in_order_is_left_to_it() -> None:
     assert signalled(LIVING, signal.SIGTERM) == (128 + signal.SIGTERM, "done\n", "")
 
 
-EXECUTING = """
-import signal
-import typer
-from qdgrasp_protocol.cli_support import run_command
-app = typer.Typer()
-@app.command()
-def command() -> None:
-    exec("signal.raise_signal({number})")
-run_command(app, "executing")
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_within_a_text_that_is_executed_has_its_exit_code_too(number: int, tmp_path: Path) -> None:
-    (tmp_path / "executing.py").write_text(EXECUTING.format(number=int(number)))
-    command = [sys.executable, "-m", "executing"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
-
-
 def test_what_is_printed_keeps_its_lines_and_nothing_else_that_a_terminal_obeys(capsys) -> None:
     echo("one\r\x1b[1A\ntwo\x9b2J\u202e \ud800 é")
     echo("three\x07", err=True)

@@ -5,15 +5,12 @@ import signal
 import subprocess
 import sys
 import threading
-from pathlib import Path
 from queue import SimpleQueue
 
 import pytest
 from tests.common import PATIENCE
 
 from qdgrasp_protocol.process import SUPERVISED, lifetime
-
-OPEN = Path("/proc/self/fd")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -33,19 +30,6 @@ def test_a_signal_that_wakes_another_thread_is_heard_all_the_same(number: signal
         late.join()
         assert stop.exit_code == 128 + number
     assert signal.getsignal(number) is before
-
-
-def test_a_lifetime_leaves_nothing_open() -> None:
-    with lifetime("test"):
-        pass
-    known = len(list(OPEN.iterdir()))
-    for _ in range(20):
-        with lifetime("test"):
-            pass
-    for thread in threading.enumerate():
-        if thread.name == "signals":
-            thread.join(PATIENCE)
-    assert len(list(OPEN.iterdir())) <= known
 
 
 SPEAKING = r"""

@@ -1,6 +1,5 @@
 """Endpoints, and the machines that can reach them."""
 
-import json
 import os
 import re
 import socket
@@ -8,7 +7,6 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-import zenoh
 from structlog.testing import capture_logs
 
 from qdgrasp_protocol.errors import EndpointError, SecurityError
@@ -86,16 +84,6 @@ def test_who_listens_everywhere_is_found_on_loopback(text: str, near: str) -> No
 
 WORKER = Credentials(Path("/etc/qdgrasp"), Role.WORKER)
 ROUTER = Credentials(Path("/etc/qdgrasp"), Role.ROUTER)
-
-
-def test_every_setting_is_one_of_zenohs() -> None:
-    config = zenoh.Config()
-    chosen = session_settings(
-        "router", listen=parse_endpoints("tls/a:1"), connect=parse_endpoints("tls/b:1"), credentials=ROUTER
-    )
-    for name, value in chosen.items():
-        config.insert_json5(name, json.dumps(value))
-        assert json.loads(config.get_json(name)) == value
 
 
 @pytest.mark.parametrize(

@@ -56,11 +56,6 @@ def test_an_evaluator_in_a_package_goes_by_the_name_of_its_module() -> None:
     assert evaluator_name(evaluators.Height) == "tests.worker.runtime.evaluators:Height"
 
 
-def test_an_evaluator_in_a_script_goes_by_its_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(evaluators, "__name__", "__main__")
-    assert evaluator_name(evaluators.Height) == f"{evaluators.__file__}:Height"
-
-
 @pytest.mark.parametrize("evaluator", [evaluators.nested(), lambda scene: evaluators.Height(scene), 3])
 def test_an_evaluator_that_no_other_process_finds_is_refused(evaluator: object) -> None:
     with pytest.raises(InputError, match="at the top of a module"):
@@ -103,13 +98,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> qdgrasp.Run:
     return qdgrasp.open(path)
 
 
-def test_a_run_says_what_was_asked_for(run: qdgrasp.Run) -> None:
-    assert run.spec.gripper == "jaw"
-    assert run.scene.object.name == "block"
-    assert run.layout.names == ("x", "y", "z", "qx", "qy", "qz", "qw")
-    assert run.summary.rows == 300
-
-
 def test_grasps_are_those_that_survived_a_shake(run: qdgrasp.Run) -> None:
     rows, grasps = run.rows(), run.grasps()
     assert len(rows) == 300
@@ -133,12 +121,6 @@ def test_the_best_and_the_well_spread_are_some_of_them(run: qdgrasp.Run) -> None
 def test_what_cannot_be_asked_for_is_refused(run: qdgrasp.Run, asked: dict[str, Any]) -> None:
     with pytest.raises(ImpossibleValue, match="not less than 0"):
         run.grasps(**asked)
-
-
-def test_a_run_that_has_nothing_yet_has_no_rows(tmp_path: Path) -> None:
-    empty = record(tmp_path / "empty", made_scene(), GIVEN.empty(0), method="given", evaluations=1)
-    assert len(qdgrasp.open(empty.path).rows()) == 0
-    assert len(qdgrasp.open(str(empty.path)).grasps()) == 0
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:

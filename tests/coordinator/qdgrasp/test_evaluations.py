@@ -10,7 +10,7 @@ from tests.coordinator.scenes import jaw
 from tests.tools.monitor.sample_jobs import figures
 
 import qdgrasp
-from qdgrasp.arguments import POSE_COLUMNS, check_genomes, spec_from_arguments
+from qdgrasp.arguments import POSE_COLUMNS, check_genomes
 from qdgrasp.backend import ROUTER_SECONDS, SilentProgress
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_coordinator.search.fixed_poses import check_given
@@ -88,34 +88,8 @@ def test_what_cannot_be_scored_is_refused(changed: dict[str, Any], why: str) -> 
         qdgrasp.evaluate(**asked)
 
 
-def test_numbers_of_numpy_are_numbers() -> None:
-    spec = spec_from_arguments(
-        {"gripper": "panda", "object": "mug", "mass": np.float64(0.1)}, seed=np.int64(3)
-    )
-    assert (spec.mass, spec.seed, qdgrasp.Place(workers=np.int64(2)).hands) == (0.1, 3, 2)
-
-
-@pytest.mark.parametrize(
-    ("posture", "why"),
-    [
-        ({"synergies": [5]}, "synergies must be -1, for the hand has none, got 5"),
-        ({"spreads": [[0.3]]}, "spreads must be NaN, for the hand has no free joints"),
-    ],
-)
-def test_a_synergy_or_free_joint_of_a_hand_that_has_none_is_refused(posture, why) -> None:
-    place = qdgrasp.Place(workers=0)
-    with pytest.raises(InputError, match=why):
-        qdgrasp.evaluate(ABOVE, DOWN, **posture, place=place, gripper="panda", object="tennis_ball")
-
-
 LOCAL = ["127.0.0.1"]
 ENCRYPTED = "tls/127.0.0.1:7447"
-
-
-def test_a_place_of_all_cores_has_as_many_workers_and_one_at_a_router_none() -> None:
-    assert qdgrasp.Place().hands >= 1
-    assert qdgrasp.Place(connect=ENCRYPTED).hands == 0
-    assert qdgrasp.Place(connect=ENCRYPTED, workers=3).hands == 3
 
 
 @pytest.mark.parametrize(

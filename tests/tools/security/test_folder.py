@@ -2,7 +2,6 @@
 
 import os
 import stat
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -53,14 +52,6 @@ def test_a_router_is_known_by_the_names_and_addresses_given(made: SecurityFolder
     names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     assert names.get_values_for_type(x509.DNSName) == ["head"]
     assert [str(a) for a in names.get_values_for_type(x509.IPAddress)] == ["10.0.0.1", "::1"]
-
-
-def test_certificates_last_as_long_as_asked_and_the_authority_longer(made: SecurityFolder) -> None:
-    now = datetime.now(UTC)
-    worker, root = certificate(made.path / "worker.pem"), certificate(made.path / "ca.pem")
-    assert timedelta(days=29) < worker.not_valid_after_utc - now <= timedelta(days=30)
-    assert root.not_valid_after_utc - now > timedelta(days=3600)
-    assert worker.not_valid_before_utc < now - timedelta(minutes=30)
 
 
 def test_nothing_is_overwritten(made: SecurityFolder) -> None:

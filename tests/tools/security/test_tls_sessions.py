@@ -12,7 +12,7 @@ from queue import SimpleQueue
 import pytest
 from tests.common import PATIENCE
 from tests.fakes.messages import ANN, EVE, KEYS_BY_ID, join_message
-from tests.tools.security.conftest import HOSTS, certificate_files, encrypted_endpoint
+from tests.tools.security.conftest import certificate_files, encrypted_endpoint
 
 from qdgrasp_coordinator.scheduler.coordinator_service import BusSubscriptions, Inbox
 from qdgrasp_coordinator.scheduler.job_scheduler import JoinRequest
@@ -27,13 +27,6 @@ from qdgrasp_tools.security.folder import SecurityFolder
 
 LAST = 100
 Change = Callable[[Path], object]
-
-
-@pytest.mark.parametrize("host", HOSTS)
-def test_a_router_is_reached_by_name_and_by_address(secured: str, folder: Path, host: str) -> None:
-    endpoint = secured.replace("127.0.0.1", host)
-    with ZenohBus.connect(endpoint, PATIENCE, credentials=Credentials.find(folder, Role.WORKER)):
-        pass
 
 
 def test_strangers_get_no_session_and_are_told_why(secured: str, folder: Path, tmp_path: Path) -> None:
@@ -72,13 +65,6 @@ def test_a_workers_certificate_does_not_make_a_router(folder: Path, tmp_path: Pa
         pytest.raises(EndpointError, match="the certificate it shows is not good"),
     ):
         ZenohBus.connect(endpoint, 0.3, credentials=Credentials.find(folder, Role.WORKER))
-
-
-def test_files_that_are_no_certificates_are_named(secured: str, folder: Path, tmp_path: Path) -> None:
-    broken = Path(shutil.copytree(folder, tmp_path / "broken"))
-    shutil.copy(folder / "monitor.key", broken / "worker.key")
-    with pytest.raises(EndpointError, match=r"worker in .*broken \(KEY_VALUES_MISMATCH"):
-        ZenohBus.connect(secured, 0.3, credentials=Credentials(broken, Role.WORKER))
 
 
 def test_messages_that_are_too_large_for_their_key_are_dropped_at_the_router(secured, folder) -> None:
