@@ -89,7 +89,7 @@ def test_a_cancelled_job_keeps_what_it_has_and_can_be_gone_on_with(qdgrasp, long
     with run.at_rest():
         assert "Job 'mugs' ends" in run("cancel", "mugs").out
     _, err = end_of(run.process, 1)
-    assert "Job 'mugs' was cancelled. `qdgrasp resume run` goes on" in err
+    assert "Job 'mugs' was cancelled. `qdgrasp resume run` continues" in err
     assert rows_recorded(run.folder) >= 20
     qdgrasp.succeed("resume", "run", "--workers", 1)
     assert qdgrasp.digest("run") == long_digest
