@@ -3,7 +3,6 @@
 `qdgrasp verify --engine NAME` writes `engine-NAME.csv` into the run's folder.
 """
 
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
@@ -135,19 +134,6 @@ def verdicts(table: EngineTable, numbers: NDArray[np.integer], outcomes: NDArray
         for name in ("outcome", "fitness"):
             found[name][known] = lines[name + "_now"][known]
     return found
-
-
-def holding_in_all(
-    tables: Mapping[str, EngineTable], numbers: NDArray[np.integer], outcomes: NDArray[np.integer]
-) -> NDArray[np.bool_]:
-    """(n,): True for rows that hold as recorded and by all tables.
-
-    Rows are given by number and recorded outcome (n,).
-    """
-    holds = np.asarray(outcomes == Outcome.HELD)
-    for table in tables.values():
-        holds &= verdicts(table, numbers, outcomes)["outcome"] == Outcome.HELD
-    return holds
 
 
 def held_shares(folder: RunFolder) -> dict[str, HeldShare]:

@@ -20,7 +20,6 @@ from qdgrasp_coordinator.metrics.job_status import (
 )
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, count_rows
 from qdgrasp_coordinator.storage import outputs, success_pages
-from qdgrasp_coordinator.storage.engine_table import EngineTable, other_tables
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import SuccessTable, page_from_message
@@ -91,9 +90,6 @@ class Records(Protocol):
 
     def place(self, job: str, run: str) -> RunLocation:
         """Return the location of a run."""
-
-    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
-        """Return the verdicts of other engines on successes of a run, read anew when they change."""
 
     def settings(self, job: str, run: str) -> dict[str, str]:
         """Return what a run was asked for, in words by their names, as far as it is known."""
@@ -229,10 +225,6 @@ class BusRecords:
         host = "" if listings.host == gethostname() else listings.host
         return RunLocation(folders.get(run) or "DIR", host)
 
-    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
-        """Return none: the recorder does not tell them."""
-        return {}
-
     def settings(self, job: str, run: str) -> dict[str, str]:
         """Return what the recorder lists of the run's spec; nothing before it has counted the run."""
         entry = self.entry(job, run)
@@ -272,10 +264,6 @@ class FolderRecords:
     def place(self, job: str, run: str) -> RunLocation:
         """Return its folder, here."""
         return RunLocation(str(self._index.run(job, run).path.absolute()))
-
-    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
-        """Read the tables in the folder."""
-        return other_tables(self._index.run(job, run))
 
     def settings(self, job: str, run: str) -> dict[str, str]:
         """Return the spec in the folder, but for tables and poses in it."""

@@ -8,7 +8,6 @@ from tests.coordinator.scenes import made_scene
 from qdgrasp_coordinator.storage.engine_table import (
     HeldShare,
     held_shares,
-    holding_in_all,
     other_tables,
     read_table,
     table_path,
@@ -69,13 +68,6 @@ def test_a_row_of_another_recorded_outcome_is_not_known(folder):
     (table,) = other_tables(folder).values()
     assert verdicts(table, NUMBERS, other)["outcome"].tolist() == [HELD, -1, -1, -1, -1]
     assert verdicts(table[:0], NUMBERS, other)["outcome"].tolist() == [-1] * 5
-
-
-def test_what_holds_in_all_holds_as_recorded_and_by_each_table(folder):
-    write(folder, [0, 1, 2], HELD, HELD, SHAKEN)
-    tables, recorded = other_tables(folder), np.array(RECORDED)
-    assert holding_in_all(tables, NUMBERS, recorded).tolist() == [True, False, False, False, False]
-    assert holding_in_all({}, NUMBERS, recorded).tolist() == [True, False, True, False, True]
 
 
 def test_the_share_is_of_those_that_hold_as_recorded(folder):

@@ -211,7 +211,7 @@ def _run_routes(caches: RunCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
 
     def cells(request: Request) -> bytes:
         since = _row(request.query_params.get("from", "")) or 0
-        return run(request).cells(since, margins="margins" in request.query_params)
+        return run(request).cells(since)
 
     def row(request: Request) -> int:
         found = _row(text := request.path_params["number"])

@@ -17,14 +17,13 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListing, RunListings
-from qdgrasp_coordinator.storage.engine_table import EngineTable
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
+from qdgrasp_protocol.spec import engine_names
 from qdgrasp_tools.monitor.records import JobRecords, JournalId, RecordPage, Records
 from qdgrasp_tools.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
 from qdgrasp_tools.rendering.views import hand_picture, object_picture
@@ -46,8 +45,6 @@ MAX_SCENES = 2  # Scenes of a run: another journal may have another one
 FRESH_SECONDS = 0.25  # Successes are not read again for so long [s]
 LISTED_SECONDS = 5.0  # Nor are lists of runs or objects, and curves [s]
 SCENE_WAIT_SECONDS = 1.0  # Successes are read for so long before an answer is given with those that came [s]
-MARGIN_SECONDS = 0.25  # Margins are computed for so long before an answer is given [s]
-MARGINS_AT_ONCE = 4  # Margins, 10 to 40 ms, between two looks at the clock
 
 T = TypeVar("T")
 
@@ -121,18 +118,14 @@ class JournalReading:
 
     origin: JournalId
     voxels: VoxelPages
-    tables: dict[str, EngineTable]
-    """Verdicts of other engines, by engine."""
-    rows: SuccessTable | None = None
-    """Successes with their contacts, read to compute margins; some have theirs by now."""
 
     def with_pages(self, pages: list[RecordPage]) -> "JournalReading":
         """Return this with the pages that follow."""
         voxels, last = copy(self.voxels), pages[-1]
         before = pages[-2].next if len(pages) > 1 else voxels.next
         found = np.concatenate([page.found for page in pages])
-        voxels.insert(found, last.next, is_whole=last.is_last(before), tables=self.tables)
-        return JournalReading(self.origin, voxels, self.tables, self.rows)
+        voxels.insert(found, last.next, is_whole=last.is_last(before))
+        return JournalReading(self.origin, voxels)
 
 
 @dataclass(frozen=True)
@@ -149,7 +142,7 @@ class LoadedScene:
         body, hand = self.scene.object, self.scene.gripper
         sizes = (high - low for low, high in zip(self.shown.low, self.shown.high, strict=True))
         return {
-            "engine": " and ".join(self.shown.engines),
+            "engine": " and ".join(engine_names(self.scene.engine)),
             "object's mass": f"{1000 * body.mass:.4g} g",
             "object's size": " x ".join(f"{100 * size:.3g}" for size in sizes) + " cm",
             "object's friction": f"{body.lateral_friction:g}",
@@ -174,21 +167,15 @@ class RunCache:
         self._scenes = made_once(MAX_SCENES, scene)
         self._pictures = made_once(MAX_GRASP_PICTURES, self._draw)
         self._curve = TtlCache(lambda _: records.curve(job, run), lambda _: LISTED_SECONDS, clock)
-        self._wants_margins = False
 
     def scene(self) -> bytes:
         """Return JSON of the `BrowserScene` of the journal that the cells are from."""
         reading = self._reading.get()
         scene = self._scenes(reading.origin.scene).get().shown
-        engines = [*scene.engines, *reading.tables]
-        return msgspec.json.encode(replace(scene, origin=reading.voxels.origin, engines=engines))
+        return msgspec.json.encode(replace(scene, origin=reading.voxels.origin))
 
-    def cells(self, first: int, *, margins: bool = False) -> bytes:
-        """Return a page of voxels from the serial `first` on, with the successes read until now.
-
-        With `margins` some more of these are computed, for `MARGIN_SECONDS`, when successes are read next.
-        """
-        self._wants_margins |= margins
+    def cells(self, first: int) -> bytes:
+        """Return a page of voxels from the serial `first` on, with the successes read until now."""
         return self._reading.get().voxels.page(first)
 
     def curve(self) -> bytes:
@@ -236,48 +223,10 @@ class RunCache:
         return LoadedScene(scene, hand, browser_scene(scene, hand))
 
     def _read(self, before: JournalReading | None) -> JournalReading:
-        """Read the successes since then, and compute margins if a browser has asked for them."""
-        reading = self._read_successes(before)
-        if not self._wants_margins:
-            return reading
-        self._wants_margins = False
-        return self._compute_margins(reading)
-
-    def _compute_margins(self, reading: JournalReading) -> JournalReading:
-        """Compute margins in the order of `lacking_margins`, for `MARGIN_SECONDS`; at least one."""
-        until, lacking = self._clock() + MARGIN_SECONDS, reading.voxels.lacking_margins()
-        if not len(lacking):
-            return reading
-        rows = reading.rows
-        if rows is None or lacking[0] not in rows["number"]:
-            page = self._records.page(self._job, self._run, int(lacking[0]))
-            if page.origin != reading.origin:
-                return reading  # the next answer notices it
-            rows = page.found
-        found = rows[np.isin(rows["number"], lacking)]
-        body = self._scenes(reading.origin.scene).get().scene.object
-        margins: list[Floats] = []
-        for start in range(0, len(found), MARGINS_AT_ONCE):
-            margins.append(recorded_margins(found[start : start + MARGINS_AT_ONCE], body))
-            if self._clock() > until:
-                break
-        known = np.concatenate([np.zeros(0), *margins])
-        voxels = copy(reading.voxels)
-        voxels.add_margins(found["number"][: len(known)], known)
-        return JournalReading(reading.origin, voxels, reading.tables, rows)
-
-    def _read_successes(self, before: JournalReading | None) -> JournalReading:
-        """Read the successes since then.
-
-        All of them where the journal or a table is another, or the journal fell back.
-        """
-        tables = self._records.engine_tables(self._job, self._run)
+        """Read the successes since then; all of them where the journal is another, or fell back."""
         pages = self._pages(before.voxels.next if before else 0)
         if before:
-            first, same = pages[0], before.tables.keys() == tables.keys()
-            # `read_table` gives the very same table as long as its file does not change
-            same = same and all(table is before.tables[name] for name, table in tables.items())
-            if first.origin == before.origin and first.rows >= before.voxels.next and same:
+            if pages[0].origin == before.origin and pages[0].rows >= before.voxels.next:
                 return before.with_pages(pages)
             pages = self._pages(0)
         origin = pages[0].origin
@@ -286,7 +235,7 @@ class RunCache:
         else:
             number = zlib.crc32(f"{self._job}/{self._run}/{origin}".encode())
         voxels = VoxelPages(number)
-        return JournalReading(origin, voxels, tables).with_pages(pages)
+        return JournalReading(origin, voxels).with_pages(pages)
 
     def _pages(self, first: int) -> list[RecordPage]:
         """Read pages of one journal from a row on, at least one, for `SCENE_WAIT_SECONDS` at most."""

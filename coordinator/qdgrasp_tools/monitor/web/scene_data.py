@@ -8,7 +8,7 @@ A page of voxels is little-endian: the header `HEADER`, then of `n` voxels the c
 
 import struct
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -23,10 +23,8 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, settled_mask, settled_poses
-from qdgrasp_coordinator.storage.engine_table import EngineTable, holding_in_all
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
-from qdgrasp_protocol.rows import CONTACT_VALUES, NO_SYNERGY, Outcome, trial_count
-from qdgrasp_protocol.spec import engine_names
+from qdgrasp_protocol.rows import CONTACT_VALUES, Outcome, trial_count
 
 
 class TriangleMesh(Struct, frozen=True):
@@ -68,7 +66,6 @@ class BrowserScene(Struct, frozen=True):
     kinds: Sequence[SuccessKind]  # From worst to best
     mesh: TriangleMesh  # Of the object
     links: Sequence[LinkMesh]  # Of the hand
-    engines: Sequence[str] = ()  # Those that successes were tried in, the first one first
     origin: int = 0  # The same number as that of its voxels
 
 
@@ -88,7 +85,6 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
         com_in_mesh=body.com_in_mesh,
         synergies=[synergy.name for synergy in scene.gripper.synergies],
         scored=trial_count(scene.protocol) > 0,
-        engines=engine_names(scene.engine),
         cell=1 / PER_METRE,
         low=scene.object_low,
         high=scene.object_high,
@@ -213,26 +209,22 @@ PAGE_COLUMNS = (
     ("eta", "<f4"),  # -1 where there is none
     ("penetration", "<f4"),  # [m]
     ("motion", "<f4"),  # How far the object moved while the hand closed [m]; NaN where it is not recorded
-    ("margin", "<f4"),  # NaN where it is not known, or not yet
     ("cell", "<i2", 3),
     ("synergy", "<i2"),  # -1 for none
     ("outcome", "u1"),
     ("contacts", "u1"),  # Finger links that touch the object after closing
-    ("in_all", "u1"),  # 1 if it holds in each engine that the scene names
 )
 """Columns of a page, in their order."""
 MAX_PAGE_VOXELS = 1 << 15  # The most voxels on a page: about 1 MiB
-MAX_VOXELS = 1 << 18  # The most voxels that are kept, 12 MiB; of more, the best of each cell come first
+MAX_VOXELS = 1 << 18  # From so many on those alone are added that are the first of their cell and outcome
 MAX_CELL = np.iinfo(np.int16).max  # Cells; farther out than about 300 m there is no success
-VOXEL = np.dtype([("key", "<i8"), ("serial", "<u4"), *PAGE_COLUMNS])
-NO_TABLES: Mapping[str, EngineTable] = {}
+VOXEL = np.dtype(list(PAGE_COLUMNS))
 
 
 class VoxelPages:
-    """Successes by cell; of too many, first the best of each cell, outcome and synergy.
+    """Successes by cell, in the order in which they came; one that comes again has another eta.
 
-    The best is that of the greatest eta, of equals the earliest. Serials number the voxels in the order in
-    which they came or improved, so that a browser can ask for those that it lacks.
+    Serials number the voxels, so that a browser can ask for those that it lacks.
     """
 
     def __init__(self, origin: int = 0) -> None:
@@ -240,51 +232,22 @@ class VoxelPages:
         self.next = 0  # The journal number up to which successes were inserted
         self.is_whole = True  # True if these were all in the journal
         self._kept = np.zeros(0, VOXEL)  # by serial
-        self._serial = 0
+        self._open: dict[int, float] = {}  # etas of those from `next` on, by number: they come again
 
-    def __len__(self) -> int:
-        """Number of voxels."""
-        return len(self._kept)
-
-    def insert(
-        self,
-        found: SuccessTable,
-        upto: int,
-        *,
-        is_whole: bool = True,
-        tables: Mapping[str, EngineTable] = NO_TABLES,
-    ) -> None:
-        """Add successes (n,), all up to journal number `upto`; they may come again.
-
-        `tables` are the verdicts of other engines on them.
-        """
+    def insert(self, found: SuccessTable, upto: int, *, is_whole: bool = True) -> None:
+        """Add successes (n,), all up to journal number `upto`; those from there on will come again."""
+        seen, is_new = dict(self._open), np.zeros(len(found), dtype=bool)
+        for place, (number, eta) in enumerate(
+            zip(found["number"].tolist(), found["eta"].tolist(), strict=True)
+        ):
+            is_new[place] = seen.get(number) != eta
+            seen[number] = eta
+        voxels = _voxels_of(found[is_new])
+        if len(self._kept) >= MAX_VOXELS:
+            voxels = voxels[~np.isin(_keys(voxels), _keys(self._kept))]
+        self._kept = np.concatenate([self._kept, voxels])
+        self._open = {number: eta for number, eta in seen.items() if number >= upto}
         self.next, self.is_whole = upto, is_whole
-        if len(found):
-            voxels = _voxels_of(found, tables)
-            _, known, again = np.intersect1d(self._kept["number"], voxels["number"], return_indices=True)
-            voxels["margin"][again] = self._kept["margin"][known]
-            voxels["serial"] = self._serial + np.arange(len(voxels))
-            self._kept = _thinned(_latest(np.concatenate([self._kept, voxels])))
-            self._serial = int(self._kept["serial"][-1]) + 1 if len(self._kept) else 0
-
-    def lacking_margins(self) -> NDArray[np.uint32]:
-        """Journal numbers (n,) of grasps whose margin is to be computed next, in order.
-
-        Of those that settled and have none: the best of each key, and the others once these have one.
-        """
-        is_lacking = ~np.isnan(self._kept["motion"]) & np.isnan(self._kept["margin"])
-        is_first = is_lacking & _best_mask(self._kept)
-        numbers: NDArray[np.uint32] = self._kept["number"][is_first if is_first.any() else is_lacking]
-        return np.sort(numbers)
-
-    def add_margins(self, numbers: NDArray[np.uint32], margins: Floats) -> None:
-        """Set the margins (n,) of grasps by journal number (n,); later pages have them again."""
-        _, known, given = np.intersect1d(self._kept["number"], numbers, return_indices=True)
-        again = self._kept[known]
-        again["margin"] = margins[given]
-        again["serial"] = self._serial + np.arange(len(again))
-        self._kept = np.concatenate([np.delete(self._kept, known), again])
-        self._serial += len(again)
 
     def page(self, first: int) -> bytes:
         """Return the voxels with the serial `first` or a later one, as many as a page holds.
@@ -292,61 +255,26 @@ class VoxelPages:
         A reader that goes on from the serial in the header, and lets each voxel replace an earlier one of its
         number, gets them all.
         """
-        start = int(np.searchsorted(self._kept["serial"], first))
-        shown = self._kept[start : start + MAX_PAGE_VOXELS]
-        upto = int(shown["serial"][-1]) + 1 if len(shown) else self._serial
-        more = start + MAX_PAGE_VOXELS < len(self._kept) or not self.is_whole
+        shown = self._kept[first : first + MAX_PAGE_VOXELS]
+        upto = min(first, len(self._kept)) + len(shown)
+        more = upto < len(self._kept) or not self.is_whole
         header = HEADER.pack(MARK, len(shown), upto, more, len(self._kept), self.origin)
         return header + b"".join(shown[name].tobytes() for name, *_ in PAGE_COLUMNS)
 
 
-def _voxels_of(found: SuccessTable, tables: Mapping[str, EngineTable]) -> NDArray[np.void]:
+def _voxels_of(found: SuccessTable) -> NDArray[np.void]:
     places = cells(found["descriptor"])
     near = (np.abs(places) <= MAX_CELL).all(axis=1)
     voxels, found = np.zeros(int(near.sum()), VOXEL), found[near]
     voxels["cell"] = places[near]
     for name in ("number", "eta", "penetration", "synergy", "outcome", "contacts"):
         voxels[name] = found[name]
-    voxels["in_all"] = holding_in_all(tables, found["number"], found["outcome"])
     voxels["motion"] = object_motion(found)[:, 0]
-    voxels["margin"] = np.nan  # of thousands of grasps it takes many seconds: `add_margins`
-    voxels["key"] = _keys(voxels)
     return voxels
 
 
 def _keys(voxels: NDArray[np.void]) -> NDArray[np.int64]:
-    """Return one number for each cell, outcome and synergy: (n,), packed into bit fields.
-
-    A grasp that holds in all engines has an outcome of its own, 0.
-    """
+    """Return one number for each cell and outcome: (n,), packed into bit fields."""
     cell = voxels["cell"].astype(np.int64) + MAX_CELL
-    synergy = voxels["synergy"].astype(np.int64) - NO_SYNERGY
-    outcome = np.where(voxels["in_all"], 0, voxels["outcome"])
-    place = (cell[:, 0] << 32) | (cell[:, 1] << 16) | cell[:, 2]
-    keys: NDArray[np.int64] = (((place << 3) | outcome) << 12) | synergy
+    keys: NDArray[np.int64] = (cell[:, 0] << 35) | (cell[:, 1] << 19) | (cell[:, 2] << 3) | voxels["outcome"]
     return keys
-
-
-def _latest(voxels: NDArray[np.void]) -> NDArray[np.void]:
-    """Return the voxel of the greatest eta of each number; a repeated one keeps its serial."""
-    ordered = voxels[np.lexsort((voxels["serial"], -voxels["eta"]))]
-    _, first = np.unique(ordered["number"], return_index=True)
-    kept: NDArray[np.void] = ordered[first]
-    return kept[np.argsort(kept["serial"])]
-
-
-def _thinned(voxels: NDArray[np.void]) -> NDArray[np.void]:
-    """Return at most `MAX_VOXELS`, by serial: first the best of each key, then the earliest."""
-    if len(voxels) <= MAX_VOXELS:
-        return voxels
-    kept = np.argsort(~_best_mask(voxels), kind="stable")[:MAX_VOXELS]
-    return voxels[np.sort(kept)]
-
-
-def _best_mask(voxels: NDArray[np.void]) -> NDArray[np.bool_]:
-    """(n,): True for the voxel of the greatest eta of each key, of equals the earliest."""
-    order = np.lexsort((voxels["number"], -voxels["eta"]))
-    _, first = np.unique(voxels["key"][order], return_index=True)
-    is_best = np.zeros(len(voxels), dtype=bool)
-    is_best[order[first]] = True
-    return is_best

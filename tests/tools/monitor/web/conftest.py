@@ -32,7 +32,6 @@ from qdgrasp_coordinator.metrics.job_status import (
     to_json,
 )
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
-from qdgrasp_coordinator.storage.engine_table import TABLE, EngineTable
 from qdgrasp_coordinator.storage.success_pages import SuccessTable, success_dtype
 from qdgrasp_protocol.errors import NoReply, UnknownName
 from qdgrasp_protocol.keys import Keys
@@ -180,7 +179,7 @@ class FakeRun:
             raise UnknownName("run", self.name, ["mug"])
         return msgspec.json.encode(STAGE)
 
-    def cells(self, first: int, *, margins: bool = False) -> bytes:
+    def cells(self, first: int) -> bytes:
         return scene_data.HEADER.pack(scene_data.MARK, 0, first, 0, 0, 7)
 
     def grasp(self, number: int) -> bytes:
@@ -272,15 +271,6 @@ def random_finds(n: int, reach: int = 3, seed: int = 0) -> SuccessTable:
 ORIGIN = JournalId("1" * 64, 1.0)
 
 
-def engine_table(found: SuccessTable, now: list[Outcome]) -> EngineTable:
-    """Verdicts of another engine on the first finds."""
-    table = np.zeros(len(now), TABLE)
-    for name, column in (("row", "number"), ("outcome", "outcome"), ("fitness", "fitness")):
-        table[name] = found[column][: len(now)]
-    table["outcome_now"] = now
-    return table
-
-
 @dataclass
 class HandMadeRecords:
     """A single run, of whose finds each page has a few, and a clock; counts the queries."""
@@ -293,7 +283,6 @@ class HandMadeRecords:
     run: str = "run"
     origin: JournalId = ORIGIN
     listed: int = 0
-    tables: dict[str, EngineTable] = field(default_factory=dict)
     now: float = 100.0
 
     def record(self, found: SuccessTable) -> None:
@@ -336,9 +325,6 @@ class HandMadeRecords:
 
     def place(self, job: str, run: str) -> RunLocation:
         return RunLocation("runs/mug")
-
-    def engine_tables(self, job: str, run: str) -> dict[str, EngineTable]:
-        return self.tables
 
     def settings(self, job: str, run: str) -> dict[str, str]:
         return {"method": "aimed", "seed": "7"}

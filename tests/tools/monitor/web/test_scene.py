@@ -1,6 +1,5 @@
 """The view in 3D in a browser: on the page, and alone."""
 
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests import browser
 from tests.browser import expect
@@ -22,10 +20,8 @@ from tests.tools.monitor.web.conftest import (
     serving,
 )
 
-from qdgrasp_assets.scene import SceneObject, Synergy
-from qdgrasp_coordinator.storage.success_pages import SuccessTable
+from qdgrasp_assets.scene import Synergy
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.monitor.web import run_cache
 from qdgrasp_tools.monitor.web.run_cache import JobCaches
 
 pytestmark = browser.needed
@@ -304,27 +300,3 @@ def test_filters_are_kept_in_the_address_until_all_is_shown(closed: tuple[Page, 
         expect(other.locator("#scene-words")).to_have_text("4 cells of 1 cm")
         expect(other).to_have_url(found)
         expect(other.get_by_label("Fewest finger links")).to_have_value("")
-
-
-def test_margins_are_counted_as_they_come_and_then_filtered_by(closed, monkeypatch) -> None:
-    margins, goes_on = {2: 0.01, 3: 0.05, 5: 0.02, 8: 0.06}, threading.Event()
-
-    def computed(rows: SuccessTable, _: SceneObject) -> NDArray[np.float64]:
-        assert rows["number"][0] != 8 or goes_on.wait(PATIENCE)
-        return np.array([margins[number] for number in rows["number"].tolist()])
-
-    monkeypatch.setattr(run_cache, "recorded_margins", computed)
-    monkeypatch.setattr(run_cache, "MARGINS_AT_ONCE", 1)
-    monkeypatch.setattr(run_cache, "MARGIN_SECONDS", -1.0)  # out of time after each
-    page, found = closed
-    words, summary = page.locator("#scene-words"), page.locator("#scene-filters summary")
-    page.get_by_label("Least margin").fill("0.05")
-    expect(summary).to_have_text("Filters 1 in use, margins: 3 of 4")
-    expect(words).to_have_text("1 of 4 cells of 1 cm")
-    goes_on.set()
-    expect(summary).to_have_text("Filters 1 in use")
-    expect(words).to_have_text("2 of 4 cells of 1 cm")
-    expect(page).to_have_url(f"{found}&margin=0.05")
-    for number in (8, 3, 8):
-        page.locator("#scene").press("n")
-        expect(page.locator("#grasp h4")).to_have_text(f"Grasp {number}")

@@ -1,13 +1,13 @@
 """Data of the view in 3D."""
 
 from base64 import b64decode
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.tools.monitor.web.conftest import finds, random_finds
 
@@ -163,17 +163,6 @@ def every(found: SuccessTable) -> Shown:
     }
 
 
-def best(found: SuccessTable) -> Shown:
-    """Those of the greatest eta, of equals the earliest, of each cell, outcome and synergy."""
-    kept: dict[tuple[Cell, int, int], int] = {}
-    whole = every(found)
-    for number, (*key, eta) in whole.items():
-        name = (key[0], key[1], key[2])
-        if name not in kept or eta > whole[kept[name]][3]:
-            kept[name] = number
-    return {number: whole[number] for number in kept.values()}
-
-
 def shown(kept: VoxelPages) -> Shown:
     return {name: what for page in pages(kept) for name, what in page.items()}
 
@@ -183,49 +172,18 @@ def test_every_find_is_on_the_pages() -> None:
     kept = VoxelPages()
     kept.insert(found, 4000)
     assert shown(kept) == every(found)
-    assert len(kept) == len(found)
 
 
-def settled(numbers: Sequence[int], outcomes: ArrayLike = Outcome.HELD, etas: ArrayLike = -1) -> SuccessTable:
-    """Finds in one cell whose margin can be computed, by journal number (n,)."""
-    return finds(numbers, [(0, 0, 1)] * len(numbers), outcomes, etas=etas, settled=(0, 0, 0, 0, 0, 0, 1))
-
-
-def test_margins_are_lacking_of_the_best_in_a_cell_first_and_of_none_that_did_not_settle() -> None:
-    kept = VoxelPages()
-    outcomes = [Outcome.HELD, Outcome.HELD, Outcome.SHAKEN, Outcome.HELD]
-    kept.insert(settled([2, 3, 5, 6], outcomes, etas=[0, 1, 0, 0.5]), 7)
-    kept.insert(finds([8], [(0, 0, 1)], [Outcome.DROPPED]), 9)
-    assert kept.lacking_margins().tolist() == [3, 5]
-    kept.add_margins(np.array([3, 5]), np.array([0.1, 0.0]))
-    assert kept.lacking_margins().tolist() == [2, 6]
-    kept.add_margins(np.array([2, 6]), np.array([0.2, 0.3]))
-    assert kept.lacking_margins().tolist() == []
-
-
-def test_a_margin_comes_on_the_next_page_and_stays_when_the_eta_is_known() -> None:
-    kept = VoxelPages()
-    kept.insert(settled([3, 5, 6]), 7)
-    first, _, _ = read(kept.page(0))
-    kept.add_margins(np.array([5, 3]), np.array([0.5, 0.25]))
-    columns = columns_of(kept.page(first))
-    assert dict(zip(columns["number"].tolist(), columns["margin"].tolist(), strict=True)) == {3: 0.25, 5: 0.5}
-    upto, _, _ = read(kept.page(first))
-    kept.insert(settled([3, 5, 6], etas=[0.5, 1, 0]), 7)
-    columns = columns_of(kept.page(upto))
-    assert (columns["number"].tolist(), columns["eta"].tolist()) == ([3, 5, 6], [0.5, 1, 0])
-    assert columns["margin"] == pytest.approx([0.25, 0.5, np.nan], nan_ok=True)
-    assert len(kept) == 3
-
-
-def test_where_there_are_too_many_the_best_of_each_cell_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = random_finds(2000)
-    monkeypatch.setattr(scene_data, "MAX_VOXELS", len(best(found)) + 5)
-    kept = VoxelPages()
-    for start in range(0, 2000, 400):
-        kept.insert(found[start : start + 400], 2 * (start + 400))
-    assert best(found).keys() <= shown(kept).keys()
-    assert len(kept) == len(best(found)) + 5
+def test_where_there_are_too_many_those_in_further_cells_are_added(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_data, "MAX_VOXELS", 500)
+    found, kept = random_finds(2000), VoxelPages()
+    for start in range(0, 2000, 500):
+        kept.insert(found[start : start + 500], 2 * (start + 500))
+    seen = shown(kept)
+    assert seen.items() >= every(found[:500]).items()
+    everywhere = {(place, outcome) for place, outcome, *_ in every(found).values()}
+    assert {(place, outcome) for place, outcome, *_ in seen.values()} == everywhere
+    assert len(seen) < len(found)
 
 
 def test_whoever_asks_on_while_finds_come_has_what_a_late_comer_gets(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,7 +30,7 @@ export class Selection {
   }
 }
 
-const FILTERS = ["eta", "synergy", "penetration", "motion", "contacts", "margin", "all"];
+const FILTERS = ["eta", "synergy", "penetration", "motion", "contacts"];
 
 /** The filters in the address, numbers by their names: those in use. */
 export function addressFilters() {

@@ -10,14 +10,11 @@ export class CellFilter {
     this.kinds = Array(kinds).fill(true);
     /** The least eta; 0 lets pass what has none, too. */
     this.eta = 0;
-    /** The greatest penetration and motion [m], infinite: any; the least number of finger links and the least margin, 0: any.
-     *  A motion or a margin that is not known passes no bound. */
+    /** The greatest penetration and motion [m], infinite: any; the least number of finger links, 0: any. A motion that is not
+     *  known passes no bound. */
     this.penetration = Infinity;
     this.motion = Infinity;
     this.contacts = 0;
-    this.margin = 0;
-    /** Whether those alone are shown that hold in all engines. */
-    this.all = false;
     /** The synergy by its place in the gripper; `ANY`: all. */
     this.synergy = ANY;
     /** The box of cells that are shown, both ends in it. */
@@ -26,10 +23,10 @@ export class CellFilter {
   }
 
   /** Whether a grasp is shown. */
-  passes({ kind, eta, synergy, penetration, motion, contacts, margin, inAll }) {
-    return this.kinds[kind] && (!this.all || inAll) && (!this.eta || eta >= this.eta) && (this.synergy === ANY || synergy === this.synergy)
+  passes({ kind, eta, synergy, penetration, motion, contacts }) {
+    return this.kinds[kind] && (!this.eta || eta >= this.eta) && (this.synergy === ANY || synergy === this.synergy)
       && penetration <= this.penetration && (this.motion === Infinity || motion <= this.motion)
-      && contacts >= this.contacts && (!this.margin || margin >= this.margin);
+      && contacts >= this.contacts;
   }
 
   /** Whether a cell is in the box. */
@@ -46,7 +43,7 @@ export class CellFilter {
   /** The number of criteria in use, the kinds apart. */
   get narrowed() {
     const sides = [0, 1, 2].filter((axis) => Number.isFinite(this.low[axis]) || Number.isFinite(this.high[axis]));
-    const bounds = [this.eta > 0, this.synergy !== ANY, this.penetration < Infinity, this.motion < Infinity, this.contacts > 0, this.margin > 0, this.all];
+    const bounds = [this.eta > 0, this.synergy !== ANY, this.penetration < Infinity, this.motion < Infinity, this.contacts > 0];
     return bounds.filter(Boolean).length + sides.length;
   }
 }
@@ -68,7 +65,7 @@ export class Cells {
     this.places = new Int16Array(4 * 4096);
     /** How many cells show each kind. */
     this.counts = kinds.map(() => 0);
-    /** Whether the motion of any grasp is known, and thus its margin can be. */
+    /** Whether the motion of any grasp is known. */
     this.hasMotions = false;
     this.low = [Infinity, Infinity, Infinity];
     this.high = [-Infinity, -Infinity, -Infinity];
@@ -82,17 +79,6 @@ export class Cells {
   /** How many of them show something. */
   get shown() {
     return this.counts.reduce((sum, count) => sum + count, 0);
-  }
-
-  /** Of how many grasps the margin is `known`, and of how many it is `possible`: of those whose motion is. */
-  get margins() {
-    const all = [...this.#known.values()];
-    return { known: all.filter(({ margin }) => !Number.isNaN(margin)).length, possible: all.filter(({ motion }) => !Number.isNaN(motion)).length };
-  }
-
-  /** Whether margins are filtered by that are not all known. */
-  get lacksMargins() {
-    return this.filter.margin > 0 && this.margins.known < this.margins.possible;
   }
 
   /** Add a page of successes. */
@@ -153,7 +139,7 @@ export class Cells {
   #put(slot, page, i) {
     const grasp = {
       number: page.numbers[i], kind: page.outcomes[i] - this.worst, eta: page.etas[i], synergy: page.synergies[i],
-      penetration: page.penetrations[i], motion: page.motions[i], contacts: page.contacts[i], margin: page.margins[i], inAll: page.inAll[i],
+      penetration: page.penetrations[i], motion: page.motions[i], contacts: page.contacts[i],
     };
     const known = this.#known.get(grasp.number);
     if (known) Object.assign(known, grasp);

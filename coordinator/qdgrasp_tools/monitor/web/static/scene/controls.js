@@ -64,10 +64,9 @@ const BOUNDS = [
   { name: "penetration", words: "Most penetration [mm]", unit: 1e-3, open: Infinity, step: 0.1 },
   { name: "motion", words: "Most motion [mm]", unit: 1e-3, open: Infinity, step: 0.1, isKnown: (cells) => cells.hasMotions },
   { name: "contacts", words: "Fewest finger links", unit: 1, open: 0, step: 1 },
-  { name: "margin", words: "Least margin", unit: 1, open: 0, step: 0.01, isKnown: (cells) => cells.hasMotions },
 ];
 const ALL = Object.fromEntries(BOUNDS.map(({ name, open }) => [name, open]));
-const OPEN = { eta: 0, synergy: ANY, all: false, ...ALL, low: AXES.map(() => -Infinity), high: AXES.map(() => Infinity) };
+const OPEN = { eta: 0, synergy: ANY, ...ALL, low: AXES.map(() => -Infinity), high: AXES.map(() => Infinity) };
 
 /** Filters of grasps by eta, by synergy, by how closing went, and by the hand's position. */
 export class FilterControls {
@@ -86,17 +85,13 @@ export class FilterControls {
     this.reset = element("button", { type: "button", class: "quiet" }, "Show all");
     this.sorts = element("div", { hidden: true }, this.scores, this.synergies);
     this.bounds = BOUNDS.map((bound) => this.#bound(bound));
-    this.all = element("input", { type: "checkbox" });
-    this.allWords = element("span");
-    this.allEngines = element("label", { class: "bound" }, this.allWords, this.all);
-    const after = element("fieldset", { class: "bounds" }, element("legend", {}, "After closing"), ...this.bounds.map(({ node }) => node), this.allEngines);
+    const after = element("fieldset", { class: "bounds" }, element("legend", {}, "After closing"), ...this.bounds.map(({ node }) => node));
     const legend = element("legend", {}, "Hand's position from the centre of mass [cm]");
     const spans = AXES.map((name, axis) => element("div", { class: "bound" }, element("b", {}, name), ...this.ends[axis]));
     const region = element("fieldset", { class: "bounds" }, legend, ...spans);
     node.append(element("div", { class: "filter-form" }, this.sorts, after, region, this.reset));
     this.eta.addEventListener("input", () => this.#apply({ eta: Number(this.eta.value) }));
     this.synergy.addEventListener("change", () => this.#apply({ synergy: this.synergy.value === "" ? ANY : Number(this.synergy.value) }));
-    this.all.addEventListener("change", () => this.#apply({ all: this.all.checked }));
     this.reset.addEventListener("click", () => this.#showAll());
   }
 
@@ -106,9 +101,8 @@ export class FilterControls {
     this.node.hidden = !view;
     this.#reset();
     this.eta.value = filters.eta ?? 0;
-    this.all.checked = Boolean(filters.all);
     for (const { bound, input } of this.bounds) input.value = filters[bound.name] ?? "";
-    if (view) view.filter = { eta: Number(this.eta.value), synergy: filters.synergy ?? ANY, all: this.all.checked, ...this.#given() };
+    if (view) view.filter = { eta: Number(this.eta.value), synergy: filters.synergy ?? ANY, ...this.#given() };
   }
 
   /** Show the state of the view's filter. */
@@ -117,14 +111,12 @@ export class FilterControls {
     this.scores.hidden = !description.scored;
     this.synergies.hidden = !description.synergies.length;
     this.sorts.hidden = this.scores.hidden && this.synergies.hidden;
-    this.allEngines.hidden = description.engines.length < 2 && !filter.all;
-    setText(this.allWords, `Holds in ${description.engines.join(" and ")}`);
     const names = [{ value: "", name: "any" }, ...description.synergies.map((name, value) => ({ value, name }))];
     for (const { bound, node } of this.bounds) node.hidden = bound.isKnown?.(cells) === false && filter[bound.name] === bound.open;
     updateChildren(this.synergy, names, ({ value }) => value, ({ value, name }) => element("option", { value }, name), (option, { name }) => setText(option, name));
     this.synergy.value = filter.synergy ?? "";
     setText(this.least, filter.eta.toFixed(2));
-    setText(this.words, [filter.narrowed && `${filter.narrowed} in use`, cells.lacksMargins && margins(cells)].filter(Boolean).join(", "));
+    setText(this.words, filter.narrowed ? `${filter.narrowed} in use` : "");
     setAttribute(this.reset, "disabled", !filter.narrowed);
   }
 
@@ -137,9 +129,9 @@ export class FilterControls {
   #apply(part) {
     if (!this.#view) return;
     this.#view.applyFilter(part);
-    const { eta, synergy, all } = this.#view.cells.filter;
+    const { eta, synergy } = this.#view.cells.filter;
     const bounds = this.bounds.map(({ bound, input }) => [bound.name, number(input)]);
-    keepFilters({ eta: eta || NaN, synergy: synergy === ANY ? NaN : synergy, all: all ? 1 : NaN, ...Object.fromEntries(bounds) });
+    keepFilters({ eta: eta || NaN, synergy: synergy === ANY ? NaN : synergy, ...Object.fromEntries(bounds) });
   }
 
   /** The bounds as a part of a filter: float32, as the quantities are. */
@@ -164,14 +156,8 @@ export class FilterControls {
   #reset() {
     this.eta.value = 0;
     this.synergy.value = "";
-    this.all.checked = false;
     for (const input of [...this.bounds.map((bound) => bound.input), ...this.ends.flat()]) input.value = "";
   }
-}
-
-/** How many margins have come. */
-function margins({ margins: { known, possible } }) {
-  return `margins: ${count(known)} of ${count(possible)}`;
 }
 
 /** The number in an input, 0 or more; NaN where there is none. */

@@ -12,9 +12,9 @@ export class RunClient {
     return (await this.#get("scene")).json();
   }
 
-  /** Voxels from a serial on; with `margins` the server computes some more of these. */
-  async cells(from, margins) {
-    return readVoxelPage(await (await this.#get(`cells?from=${from}${margins ? "&margins" : ""}`)).arrayBuffer());
+  /** Voxels from a serial on. */
+  async cells(from) {
+    return readVoxelPage(await (await this.#get(`cells?from=${from}`)).arrayBuffer());
   }
 
   async grasp(number) {
@@ -44,15 +44,13 @@ const HEADER = 24; // bytes
 /** Columns of a page, in their order: the type of their items, and how many of them a voxel has. */
 const COLUMNS = {
   numbers: [Uint32Array, 1], etas: [Float32Array, 1], penetrations: [Float32Array, 1], motions: [Float32Array, 1],
-  margins: [Float32Array, 1], cells: [Int16Array, 3], synergies: [Int16Array, 1], outcomes: [Uint8Array, 1], contacts: [Uint8Array, 1],
-  inAll: [Uint8Array, 1],
+  cells: [Int16Array, 3], synergies: [Int16Array, 1], outcomes: [Uint8Array, 1], contacts: [Uint8Array, 1],
 };
-const WIDTH = 31; // bytes of each voxel
+const WIDTH = 26; // bytes of each voxel
 
 /** Unpack a page of voxels, little-endian as the server packs it: `n` voxels with journal numbers, etas (-1: none), penetrations
- *  [m], motions [m] and margins (NaN: not known), cells (three each), synergies (-1: none), outcomes, finger links in contact, and 1 where
- *  it holds in all engines;
- *  the serial to ask from `next`, whether there is `more` at once, and the `origin` of all of it. */
+ *  [m], motions [m] (NaN: not known), cells (three each), synergies (-1: none), outcomes and finger links in contact; the serial
+ *  to ask from `next`, whether there is `more` at once, and the `origin` of all of it. */
 function readVoxelPage(buffer) {
   const [mark, n, next, more, total, origin] = buffer.byteLength < HEADER ? [] : new Uint32Array(buffer, 0, 6);
   if (mark !== MARK || buffer.byteLength !== HEADER + WIDTH * n) throw new Error("What came is not a page of voxels.");
@@ -66,7 +64,6 @@ function readVoxelPage(buffer) {
 }
 
 const POLL = 1000; // ms between queries for new successes
-const MARGINS = 250; // ms between them while margins are computed
 const LONGEST = 10000; // ms at most between them while there is no answer
 
 /** Reads the successes of a run page by page, and polls for new ones. */
@@ -77,9 +74,9 @@ export class CellUpdates {
   #stopped = false;
 
   /** `onpage(page, isFirst)` with each page; `onother()` where the journal is another one now, which is awaited;
-   *  `onfail(error)` where there is no answer; `lacksMargins()` says whether margins are asked for. */
-  constructor(client, { onpage, onother, onfail, lacksMargins }) {
-    Object.assign(this, { client, onpage, onother, onfail, lacksMargins });
+   *  `onfail(error)` where there is no answer. */
+  constructor(client, { onpage, onother, onfail }) {
+    Object.assign(this, { client, onpage, onother, onfail });
   }
 
   /** Read all successes of the scene with this origin, and from then on new ones. */
@@ -99,7 +96,7 @@ export class CellUpdates {
   async #poll() {
     try {
       if (!document.hidden) await this.#read(false);
-      this.#wait = this.lacksMargins() ? MARGINS : POLL;
+      this.#wait = POLL;
     } catch (error) {
       this.#wait = Math.min(2 * this.#wait, LONGEST);
       this.onfail(error);
@@ -115,7 +112,7 @@ export class CellUpdates {
   /** Read all pages that there are. */
   async #read(isFirst) {
     for (;;) {
-      const page = await this.client.cells(this.#from, this.lacksMargins());
+      const page = await this.client.cells(this.#from);
       if (page.origin !== this.origin) return this.onother();
       this.#from = page.next;
       this.onpage(page, isFirst);

@@ -49,8 +49,7 @@ export class SceneView {
     this.renderer.onlost = (lost) => this.onstatus(lost ? "The graphics were lost, and come back by themselves." : "");
     const onfail = (error) => this.#fail(error);
     const onpage = (page, isFirst) => this.#addPage(page, isFirst);
-    const lacksMargins = () => this.objects?.cells.lacksMargins ?? false;
-    this.updates = new CellUpdates(this.client, { onpage, onother: () => this.#reopen(), onfail, lacksMargins });
+    this.updates = new CellUpdates(this.client, { onpage, onother: () => this.#reopen(), onfail });
     this.pointer = new VoxelPicker(this.renderer, (slot) => this.#selectSlot(slot));
   }
 
