@@ -10,7 +10,6 @@ A reference set holds the cells that are known to be graspable. It is an `.npz` 
 journal does: coverage is given in both countings.
 """
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.asset_paths import on_asset_path
 from qdgrasp_assets.geometry.mesh import read_obj
 from qdgrasp_assets.geometry.surface_points import BULLET_MARGIN
-from qdgrasp_assets.scene import Scene, SceneObject
+from qdgrasp_assets.scene import Scene
 from qdgrasp_assets.ycb import PREFIX
 from qdgrasp_coordinator.metrics.arrays import read_arrays
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
@@ -156,20 +155,14 @@ def is_stand_in(run_object: str, reference: ReferenceSet) -> bool:
 def _checked_set(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceSet:
     found, fitness = arrays[f"{name}.cm"], arrays.get(f"{name}.fitness")
     if found.dtype.kind not in "iu" or found.ndim != 2 or found.shape[1] != 3:
-        raise AssetError(f"'{name}.cm' in '{path}' must be whole numbers (n, 3), got {_array_form(found)}.")
-    if fitness is None or fitness.shape != (len(found),):
-        form = "nothing" if fitness is None else _array_form(fitness)
-        raise AssetError(f"'{name}.fitness' in '{path}' must be ({len(found)},), got {form}.")
-    if fitness.dtype.kind not in "iu" or fitness.max(initial=0) > 2 or fitness.min(initial=0) < 0:
-        raise AssetError(f"'{name}.fitness' in '{path}' must be whole numbers from 0 to 2.")
+        raise AssetError(f"'{name}.cm' in '{path}' must be whole numbers (n, 3).")
+    is_known = fitness is not None and fitness.shape == (len(found),) and np.isin(fitness, (0, 1, 2)).all()
+    if fitness is None or not is_known:
+        raise AssetError(f"'{name}.fitness' in '{path}' must be {len(found)} whole numbers from 0 to 2.")
     cells = found.astype(np.int64)
     if len(np.unique(cells, axis=0)) != len(cells):
         raise AssetError(f"'{name}.cm' in '{path}' names a cell more than once.")
     return ReferenceSet(name, cells, fitness.astype(np.uint8))
-
-
-def _array_form(array: NDArray[np.generic]) -> str:
-    return f"{array.dtype} {array.shape}"
 
 
 PUBLISHED_SETS = "reference/S_G_{hand}.npz"  # Where the published sets lie on the asset path
@@ -315,13 +308,3 @@ def _sentence(result: Coverage, name: str) -> str:
         found = f"{result.released_found} of the {result.size}"
         words += f" The released code counts {found} ({result.released:.2%})."
     return words
-
-
-def object_identity(body: SceneObject) -> str:
-    """The sha256 of an object's surface mesh and centre of mass: what positions on it depend on.
-
-    Mass, friction, convex parts, gripper and protocol are not part of it.
-    """
-    com = np.array(body.com_in_mesh, dtype="<f8").tobytes()
-    parts = (com, body.mesh_vertices, body.mesh_faces)
-    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()

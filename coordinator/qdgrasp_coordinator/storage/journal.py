@@ -194,9 +194,7 @@ class JournalMeta(msgspec.Struct):
 
     run: str
     scene: str
-    spec: str
     shape: str
-    package: str
     created: float
 
 
@@ -218,8 +216,6 @@ class Journal:
         self.run = meta.run
         self.scene = meta.scene
         """sha256 of the scene bundle."""
-        self.package = meta.package
-        """The version of this package that began it."""
         self.created = meta.created
         """When it was begun [s since 1970]."""
         self._check_end()
@@ -269,12 +265,6 @@ class Journal:
         """Number of rows."""
         found = self._all("SELECT first + n FROM blocks ORDER BY first DESC LIMIT 1")
         return int(found[0][0]) if found else 0
-
-    @property
-    def mark(self) -> str:
-        """Fingerprint of the rows, without reading them: their number and their checksums."""
-        blocks, rows, crc = self._all("SELECT count(*), total(n), total(crc) FROM blocks")[0]
-        return f"{blocks} blocks {rows:.0f} rows {crc:.0f}"
 
     @property
     def cpu_seconds(self) -> float:

@@ -11,8 +11,7 @@ The digest of a journal is equal for two runs of one spec, however they were car
 """
 
 import hashlib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
@@ -54,7 +53,7 @@ def journal_digest(journal: Journal) -> str:
     return total.hexdigest()
 
 
-SHOWN, LONGEST = 3, 40  # Most keys, and characters of a value, named where two files are of different runs
+SHOWN = 3  # Most keys named where two files are of different runs
 
 
 class RunFolder:
@@ -208,27 +207,16 @@ class RunFolder:
 
     def _check_own(self, journal: Journal) -> None:
         """Check that a journal is of this folder's spec, with any budget, and of its scene."""
-        file = self.path / JOURNAL
-        if journal.spec_text != outputs.read(self.path / SPEC).decode(errors="replace"):
-            recorded, spec = journal.spec, self.spec
-            if other := differences(recorded, spec):
-                raise _other_run(
-                    file, self.path / SPEC, _spec_in_words(recorded, other), _spec_in_words(spec, other)
-                )
-        if self.has_bundle() and (digest := self.bundle().digest) != journal.scene:
-            scene, spec = self.scene(), journal.spec
-            raise _other_run(
-                file,
-                self.path / SCENE,
-                f"scene {journal.scene[:12]} ({spec.gripper} on {spec.object})",
-                f"scene {digest[:12]} ({scene.gripper.name} on {scene.object.name})",
+        keys, file = [], self.path / SPEC
+        if journal.spec_text != outputs.read(file).decode(errors="replace"):
+            keys = differences(journal.spec, self.spec)
+        if not keys and self.has_bundle() and self.bundle().digest != journal.scene:
+            keys, file = ["scene"], self.path / SCENE
+        if keys:
+            raise FolderError(
+                f"{self.path / JOURNAL} is the journal of a run with another {first_few(keys, SHOWN)} than "
+                f"{file}: restore one of the two from a copy."
             )
-
-
-def _other_run(journal: Path, file: Path, of: str, than: str) -> FolderError:
-    return FolderError(
-        f"{journal} is the journal of {of}, and {file} is of {than}: restore one of the two from a copy."
-    )
 
 
 def run_files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:
@@ -242,12 +230,6 @@ def _job_path(path: Path) -> Path:
     return path.absolute().parent.parent if is_part else path
 
 
-def _spec_in_words(spec: RunSpec, keys: Iterable[str]) -> str:
-    """Describe a run by the keys in which it differs from another one."""
-    values = [f"{key} {str(getattr(spec, key))[:LONGEST]}" for key in keys]
-    return f"a run with {first_few(values, SHOWN)}"
-
-
 def _no_run_reason(path: Path) -> str:
     if JobFolder.is_job(path) and JobFolder(path).is_campaign:
         return f"{path} holds a campaign; name one of its runs, a folder in {path / RUNS}."
@@ -258,22 +240,16 @@ def _no_run_reason(path: Path) -> str:
     return f"{path} holds no whole run: it has {there[0]}, but no {missing}; restore that from a copy."
 
 
-@dataclass(frozen=True)
-class Provenance:
-    """A run, and the numbers of its rows in a journal."""
+class Provenance(NamedTuple):
+    """A run that recorded rows."""
 
     run: str
     """The name of its folder."""
     spec: RunSpec
     platform: dict[str, str]
     """Platform that its rows were made on; empty where that is not known."""
-    package: str
-    """The version of this package that began it."""
-    rows: range
-    """Their numbers in the journal."""
 
 
 def provenance(folder: RunFolder, journal: Journal) -> Provenance:
     """Return where the rows of a folder's journal come from."""
-    name, rows = folder.path.absolute().name, range(journal.count)
-    return Provenance(name, folder.spec, journal.platform, journal.package, rows)
+    return Provenance(folder.path.absolute().name, folder.spec, journal.platform)

@@ -9,7 +9,6 @@ import typer
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
-from qdgrasp_coordinator.metrics.reference_coverage import object_identity
 from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
@@ -313,7 +312,8 @@ def _check_same(old: Scene, new: Scene) -> None:
     hands = [msgspec.structs.asdict(scene.gripper) | others for scene in (old, new)]
     for hand, scene in zip(hands, (old, new), strict=True):
         hand["joints"] = [(each.name, each.opened, each.closed, each.driven) for each in scene.gripper.joints]
-    if object_identity(old.object) != object_identity(new.object) or hands[0] != hands[1]:
+    surfaces = [(one.com_in_mesh, one.mesh_vertices, one.mesh_faces) for one in (old.object, new.object)]
+    if surfaces[0] != surfaces[1] or hands[0] != hands[1]:
         raise InputError(
             f"'{new.gripper.name}' or '{new.object.name}' is not what it was when the run was made, so that "
             "its poses mean something else; restore their files."

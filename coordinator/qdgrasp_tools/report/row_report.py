@@ -255,7 +255,7 @@ def row_report(folder: RunFolder, number: int) -> RowReport:
     with folder.journal() as journal:
         row = row_at(folder, journal, number)
         found_by = provenance(folder, journal)
-        spec, behind = found_by.spec, range(number + 1, found_by.rows.stop)
+        spec, behind = found_by.spec, range(number + 1, journal.count)
         plan = TrialPlan.of(spec)
         repeats = _trial_fitness(journal, row, behind, plan.trials)
         values: dict[str, object] = {

@@ -90,7 +90,7 @@ def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> R
         row = row_at(folder, journal, number)
         found_by = provenance(folder, journal)
         if trial is not None and trial != row["trial"]:
-            number, row = _trial_of(journal, number, row, trial, found_by)
+            number, row = _trial_of(journal, number, row, trial)
         if not row["base_to_object"].any():
             reason = journal.errors().get(number, "why is not recorded")
             raise NoPose(number, Outcome(row["outcome"]), reason)
@@ -98,11 +98,9 @@ def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> R
     return ReplayTarget(number, row, found_by, scene, folder.bundle())
 
 
-def _trial_of(
-    journal: Journal, number: int, row: np.void, trial: int, found_by: Provenance
-) -> tuple[int, np.void]:
-    first, recorded = found_by.rows.start, 0
-    for rows in journal.blocks(first, found_by.rows.stop):
+def _trial_of(journal: Journal, number: int, row: np.void, trial: int) -> tuple[int, np.void]:
+    first = recorded = 0
+    for rows in journal.blocks():
         is_its = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
         for place in np.flatnonzero(is_its).tolist():
             recorded = max(recorded, int(rows["trial"][place]))
