@@ -75,15 +75,6 @@ def is_of_gpu(platform: Mapping[str, str]) -> bool:
     return platform.get("warp_device", "CPU") != "CPU"
 
 
-def missing_entries(engine: str | None, platform: Mapping[str, str]) -> list[str]:
-    """Entries of its engines that a platform lacks, on which rows were made; None: Bullet.
-
-    They were recorded before these entries were, or have no engine, but an evaluator of one's own.
-    """
-    entries = [ENGINE_ENTRIES[name] for name in engine_names(engine)]
-    return [name for own in entries if own[0] in platform for name in own if name not in platform]
-
-
 def lacks_engine(engine: str | None, platform: Mapping[str, str]) -> bool:
     """Return whether a worker's platform has engines, and not this one or these; None: Bullet.
 

@@ -230,7 +230,7 @@ def render(
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
 ) -> None:
-    """Carry one evaluation of a run out again and draw it, with its contacts and frames.
+    """Carry one evaluation of a run out again and draw it.
 
     Any row of the journal can be shown, also one that failed. A picture has the hand after closing, or as it
     was placed if it did not close; a film goes through all of it, 3.2 times slower than it was. The
@@ -238,14 +238,14 @@ def render(
 
     Example: qdgrasp render runs/demo --grasp 17 -o grasp.gif
     """
-    from qdgrasp_tools.verification.evaluation_picture import (
+    from qdgrasp_tools.verification.replay import (
         LARGEST,  # what draws takes its time to load
         SMALLEST,
         PictureOptions,
         difference_reason,
+        replay_target,
         write_evaluation,
     )
-    from qdgrasp_tools.verification.replay_client import replay_target
 
     output = OutFile(out, suffixes=tuple(LARGEST), force=force)
     output.check()

@@ -12,7 +12,6 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator, StrMethodFormatter
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -22,15 +21,11 @@ from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.grasp_quality import NOT_SETTLED, settled_mask
-from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
 from qdgrasp_coordinator.metrics.success_metrics import (
     FITNESS_COLOURS,
     FITNESS_WORDS,
-    StepSeries,
-    cell_growth,
-    step_series,
 )
-from qdgrasp_coordinator.metrics.successes import ROBUST, all_successes, survival
+from qdgrasp_coordinator.metrics.successes import survival
 from qdgrasp_coordinator.storage.outputs import PNG_SIGNATURE
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -75,105 +70,55 @@ def _has_letter(letter: str) -> bool:
     return all(get_font(file).get_char_index(ord(letter)) for file in files)
 
 
-GRASPS_SIZE = (16.0, 10.0)  # inches
-HANDS_BOX, CELLS_BOX = (0.01, 0.02, 0.545, 0.872), (0.6, 0.385, 0.294, 0.47)
-GROWTH_BOX = (0.64, 0.085, 0.26, 0.19)
-"""Left, bottom, width and height of the three panels, as shares of the figure."""
+GRASPS_SIZE = (16.0, 9.2)  # inches
+HANDS_BOX, CELLS_BOX = (0.01, 0.02, 0.545, 0.87), (0.58, 0.24, 0.4, 0.6)
+"""Left, bottom, width and height of the two panels, as shares of the figure."""
 FAINT = "#69717a"
-GROWTH_COLOURS = {"successes": "#8a9199", "cells": "#2a73b9"}
 OUTCOME_NOUNS = {Outcome.DROPPED: "successes", Outcome.SHAKEN: "grasps", Outcome.HELD: "robust"}
-LABELS_APART = 0.22
-"""Lines that end closer than this share of the panel have the lower one's label moved down."""
 SCALE_BAR = 0.05  # Length of the scale bar [m]
 
 
 def draw_grasps(
     scene: Scene, rows: Rows, path: Path, *, spec: RunSpec | None = None, pixels: int = 1040
 ) -> None:
-    """Draw the grasps, cells and growth of a run to a PNG file in a folder that exists.
+    """Draw some grasps of a run, and the cells that it filled, to a PNG file.
 
-    `rows` are in journal order; there may be no success among them. `spec` names method and seed in the
-    title, and says whether overlaps count as evaluations. The view of the hands is `pixels` wide, the picture
-    1.8 times as wide.
+    There may be no success among the rows. `spec` names method and seed in the title. The view of the hands
+    is `pixels` wide, the picture 1.8 times as wide.
     """
-    overlaps = spec.overlaps if spec else "count"
-    found, evaluations = all_successes(rows, overlaps=overlaps), int(evaluation_mask(rows, overlaps).sum())
-    successes, grown = found.rows, cell_growth(found)
-    best = best_in_cells(successes)
-    side = best_azimuth(scene, successes)
+    found = rows[(rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)]
+    best, side = best_in_cells(found), best_azimuth(scene, found)
     figure = Figure(figsize=GRASPS_SIZE, dpi=pixels / (GRASPS_SIZE[1] * HANDS_BOX[3]), facecolor="white")
-    _title(figure, scene, spec, _found_in_words(successes, grown.end, evaluations))
-    _draw_hands(figure.add_axes(HANDS_BOX), view_of_hands(scene, successes, side, pixels), successes)
-    cells = view_of_cells(scene, best, side, round(pixels * CELLS_BOX[3] / HANDS_BOX[3]))
-    _draw_cells(figure.add_axes(CELLS_BOX), cells)
-    _draw_growth(figure.add_axes(GROWTH_BOX), found.evaluations, grown, evaluations)
-    figure.savefig(path, format="png")
-
-
-def _found_in_words(successes: Rows, n: int, evaluations: int) -> str:
-    found = [f"{int((successes['outcome'] >= kind).sum()):,} {word}" for kind, word in OUTCOME_NOUNS.items()]
-    cells = counted(n, "cell", told="{:,}".format)
-    return f"{evaluations:,} evaluations  \u2192  {', '.join(found)}; {cells}"
-
-
-def _title(figure: Figure, scene: Scene, spec: RunSpec | None, found: str) -> None:
-    made = "" if spec is None else f"{spec.method}, seed {spec.seed}, "
     title = f"{scene.gripper.name}  on  {scene.object.name}"
     figure.text(0.022, 0.951, figure_text(title), size=26, weight="bold", color=INK, va="center")
-    words = f"{made}protocol {scene.protocol}:   {found}"
-    figure.text(0.022, 0.911, words, size=13.5, color=FAINT, va="center")
-
-
-def _draw_hands(axes: Axes, view: RenderedView, successes: Rows) -> None:
-    show_view(axes, view)
-    words = _choice_in_words(view.shown, successes)
-    axes.text(0.5, 0.0, words, transform=axes.transAxes, size=13, color=FAINT, ha="center", va="bottom")
-    axes_triad(axes, view)
-
-
-def _choice_in_words(shown: Rows, successes: Rows) -> str:
-    if not len(shown):
-        return "no grasp to show"
-    least = max(kind for kind in OUTCOME_NOUNS if (shown["outcome"] >= kind).all())
-    noun = "robust grasps" if least is Outcome.HELD else OUTCOME_NOUNS[least]
-    words = f"{len(shown)} of {int((successes['outcome'] >= least).sum()):,} {noun}"
-    return words if settled_mask(shown).all() else f"{words}\n{NOT_SETTLED}"
+    made = "" if spec is None else f"{spec.method}, seed {spec.seed}, "
+    counts = ", ".join(
+        f"{int((found['outcome'] >= kind).sum()):,} {word}" for kind, word in OUTCOME_NOUNS.items()
+    )
+    figure.text(
+        0.022, 0.911, f"{made}protocol {scene.protocol}:   {counts}", size=13.5, color=FAINT, va="center"
+    )
+    hands = figure.add_axes(HANDS_BOX)
+    view = view_of_hands(scene, found, side, pixels)
+    show_view(hands, view)
+    axes_triad(hands, view)
+    if not settled_mask(view.shown).all():
+        hands.text(0.5, 0.0, NOT_SETTLED, transform=hands.transAxes, size=13, color=FAINT, ha="center")
+    cells = view_of_cells(scene, best, side, round(pixels * CELLS_BOX[3] / HANDS_BOX[3]))
+    _draw_cells(figure.add_axes(CELLS_BOX), cells)
+    figure.savefig(path, format="png")
 
 
 def _draw_cells(axes: Axes, view: RenderedView) -> None:
     show_view(axes, view)
-    cells = counted(len(view.shown), "cell", told="{:,}".format)
-    heading = f"{cells} of 1 cm where the hand had a success"
+    heading = f"{counted(len(view.shown), 'cell', told='{:,}'.format)} of 1 cm where the hand had a success"
     heading += "" if view.block == 1 else f", in blocks of {view.block} cm"
     axes.set_title(heading + ("" if view.is_uncut else ", cut open"), size=13, color=INK, loc="left", pad=4)
-    survived = survival(view.shown)
     for best, (colour, word) in enumerate(zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)):
-        height = -0.03 - 0.055 * (ROBUST - best)
-        axes.text(0.0, height, "\u25a0", color=colour, size=15, transform=axes.transAxes, va="center")
-        words = f"{int((survived == best).sum()):,}  {word}"
-        axes.text(0.045, height, words, color=FAINT, size=12, transform=axes.transAxes, va="center")
-
-
-def _draw_growth(axes: Axes, found: NDArray[np.int64], cells: StepSeries, end: int) -> None:
-    """Draw the growth over `end` evaluations; `found` (n,) are those with a success, in order."""
-    successes = step_series(found, np.ones(len(found), np.int64))
-    most = max(successes.end, 1)
-    apart = (successes.end - cells.end) / most > LABELS_APART
-    for word, series, shift in (("successes", successes, 0), ("cells", cells, 0 if apart else -34)):
-        places, values = np.r_[0, series.evaluations, end], np.r_[0, series.totals, series.end]
-        axes.plot(places, values, color=GROWTH_COLOURS[word], linewidth=2.4, drawstyle="steps-post")
-        axes.annotate(
-            f"{series.end:,}\n{word}", (end, series.end), (8, shift), textcoords="offset points",
-            color=GROWTH_COLOURS[word], size=12, weight="bold", va="center", annotation_clip=False,
-        )  # fmt: skip
-    axes.set(xlim=(0, max(end, 1)), ylim=(0, 1.04 * most))
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(FAINT)
-    axes.tick_params(colors=FAINT, labelsize=11)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(4, integer=True))
-        axis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
-    axes.set_xlabel("evaluations", size=12, color=FAINT)
+        axes.plot([], [], "s", color=colour, label=f"{int((survival(view.shown) == best).sum()):,}  {word}")
+    axes.legend(
+        loc="upper left", bbox_to_anchor=(0, 0), frameon=False, labelcolor=FAINT, fontsize=12, reverse=True
+    )
 
 
 def show_view(axes: Axes, view: RenderedView, interpolation: str = "none") -> None:

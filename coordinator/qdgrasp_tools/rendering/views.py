@@ -42,16 +42,17 @@ AZIMUTHS = np.radians(np.arange(-165, 180, 30))  # Azimuths that are tried
 BROAD_SHARE = 0.97  # A side counts as broad when the object's outline fills this share of its largest one
 
 
-def best_side(body: Mesh, rows: Rows, gripper: SceneGripper, elevation: float) -> float:
+def best_azimuth(scene: Scene, successes: Rows) -> float:
     """Return the azimuth [rad] that shows most of the object, and grasps farthest apart.
 
-    Among sides that show about as much of the object `body` from the camera's `elevation` [rad], it is the
-    one that spreads the grasps that `spread_grasps` chooses.
+    Among sides that show about as much of the object, it is the one that spreads the grasps that
+    `spread_grasps` chooses.
     """
-    views = [fit_camera(body.vertices, azimuth, elevation, 100, 100) for azimuth in AZIMUTHS]
-    outlines = np.array([ConvexHull(view.project(body.vertices)[:, :2]).volume for view in views])
+    vertices, hand = object_mesh(scene).vertices, scene.gripper
+    views = [fit_camera(vertices, azimuth, ELEVATION, 100, 100) for azimuth in AZIMUTHS]
+    outlines = np.array([ConvexHull(view.project(vertices)[:, :2]).volume for view in views])
     broad = np.flatnonzero(outlines > BROAD_SHARE * outlines.max())
-    seen = [_spread(spread_grasps(rows, gripper, views[side]), gripper, views[side]) for side in broad]
+    seen = [_spread(spread_grasps(successes, hand, views[side]), hand, views[side]) for side in broad]
     return float(AZIMUTHS[broad[int(np.argmax(seen))]])
 
 
@@ -157,15 +158,8 @@ def hand_picture(scene: Scene, row: Rows, size: tuple[int, int], view: tuple[flo
 
     `size` is width and height [pixels], `view` azimuth and elevation about the object's z [deg].
     """
-    body = object_mesh(scene)
-    links = list(_links(scene, settled_poses(row), row["joints"]))
-    points = np.concatenate([body.vertices, *(link.mesh.vertices for link in links)])
-    columns, rows = (RAYS_PER_PIXEL * side for side in size)
-    image = LayeredImage(fit_camera(points, np.radians(view[0]), np.radians(view[1]), rows, columns))
-    paint_solid(image, RayMesh(body), rgb(CLAY))
-    for link in links:
-        paint_link(image, link)
-    return clear_png(image)
+    azimuth, elevation = np.radians(view)
+    return clear_png(_image_of_hands(scene, row, azimuth, elevation, size))
 
 
 def clear_png(image: LayeredImage) -> bytes:
@@ -178,21 +172,23 @@ def clear_png(image: LayeredImage) -> bytes:
     return file.getvalue()
 
 
-def best_azimuth(scene: Scene, successes: Rows) -> float:
-    """Return the azimuth [rad] that shows the object and grasps on it best."""
-    return best_side(object_mesh(scene), successes, scene.gripper, ELEVATION)
-
-
 def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) -> RenderedView:
     """Render the object with a few well-spread grasps on it, as they settled."""
-    body = object_mesh(scene)
-    chosen = spread_grasps(successes, scene.gripper, _camera([body], azimuth, pixels))
-    links = list(_links(scene, settled_poses(chosen), chosen["joints"]))
-    image = LayeredImage(_camera([body, *(link.mesh for link in links)], azimuth, pixels))
+    camera = _camera([object_mesh(scene)], azimuth, ELEVATION, (pixels, pixels))
+    chosen = spread_grasps(successes, scene.gripper, camera)
+    image = _image_of_hands(scene, chosen, azimuth, ELEVATION, (pixels, pixels))
+    return RenderedView(image.composed(), image.camera, chosen)
+
+
+def _image_of_hands(
+    scene: Scene, rows: Rows, azimuth: float, elevation: float, size: tuple[int, int]
+) -> LayeredImage:
+    body, links = object_mesh(scene), list(_links(scene, settled_poses(rows), rows["joints"]))
+    image = LayeredImage(_camera([body, *(link.mesh for link in links)], azimuth, elevation, size))
     paint_solid(image, RayMesh(body), rgb(CLAY))
     for link in links:
         paint_link(image, link)
-    return RenderedView(image.composed(), image.camera, chosen)
+    return image
 
 
 def view_of_cells(
@@ -213,7 +209,7 @@ def view_of_cells(
     places = cells(best["descriptor"][:, :3])
     hues = hues_of_survival(survival(best)) if hues is None else hues
     body, views = object_mesh(scene), [places, *beside]
-    image = LayeredImage(_camera([body, *map(_cubes, views)], azimuth, pixels))
+    image = LayeredImage(_camera([body, *map(_cubes, views)], azimuth, ELEVATION, (pixels, pixels)))
     block = int(np.ceil(LEAST_CUBE * RAYS_PER_PIXEL * image.camera.step / CUBE_EDGE))
     blocks, hues = _in_blocks(places, survival(best), hues, block)
     right, _, toward = image.camera.project(blocks / PER_METRE).T
@@ -268,9 +264,11 @@ def _links(scene: Scene, poses: NDArray[np.floating], joints: NDArray[np.floatin
             yield DrawnLink(Mesh(vertices, shape.faces), hue, hand.is_finger(shape))
 
 
-def _camera(meshes: list[Mesh], azimuth: float, pixels: int) -> ParallelCamera:
+def _camera(meshes: list[Mesh], azimuth: float, elevation: float, size: tuple[int, int]) -> ParallelCamera:
+    """Return the camera that sees the meshes; `size` is width and height [pixels]."""
+    columns, rows = (RAYS_PER_PIXEL * side for side in size)
     points = np.concatenate([mesh.vertices for mesh in meshes])
-    return fit_camera(points, azimuth, ELEVATION, RAYS_PER_PIXEL * pixels, RAYS_PER_PIXEL * pixels)
+    return fit_camera(points, azimuth, elevation, rows, columns)
 
 
 def paint_solid(image: LayeredImage, solid: RayMesh, colour: Floats) -> None:

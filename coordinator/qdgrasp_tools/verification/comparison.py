@@ -26,11 +26,7 @@ class DifferentRow(Struct, frozen=True, kw_only=True):
 
     folder: str
     """Folder of the journal that it is in."""
-    run: str
-    """The run that found it."""
     number: int
-    generation: int
-    index: int
     trial: int
     columns: dict[str, ComparedValues]
     reason: str
@@ -52,20 +48,16 @@ class PlatformShare(Struct, frozen=True, kw_only=True):
     platform: dict[str, str]
     differences: str
     """Entries that this platform has instead, in words; empty where it is the same."""
-    not_recorded: list[str] = []
-    """Entries of its engine that were not recorded then, so that they are not compared."""
 
     @property
     def words(self) -> str:
-        """One line for a person."""
-        if not self.platform:
-            which = "a platform that is not recorded"
-        else:
-            which = f"another platform; here is {self.differences}" if self.differences else "this platform"
-            if self.not_recorded:
-                which += f" ({', '.join(self.not_recorded)} was not recorded then)"
+        """The platform, beside this one, for a person."""
         bits = f"; {GPU_BITS}" if platforms.is_of_gpu(self.platform) else ""
-        return f"{self.rows} of them were made on {which}{bits}"
+        if not self.platform:
+            return "a platform that is not recorded"
+        return (
+            f"another platform; here is {self.differences}" if self.differences else "this platform"
+        ) + bits
 
 
 class VerificationReport(Struct, frozen=True, kw_only=True):
@@ -100,12 +92,10 @@ class VerificationReport(Struct, frozen=True, kw_only=True):
             lines.append(f"columns that differ: {counts}")
         ended = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in self.outcomes.items())
         lines.append(f"{self.same} of {counted(self.rows, 'row')} the same: {ended}")
-        return "\n".join([*lines, *(origin.words for origin in self.origins)])
+        return "\n".join([*lines, *(f"{one.rows} of them were made on {one.words}" for one in self.origins)])
 
 
 GPU_BITS = "on a GPU rows have no fixed bits"
-PLATFORM_UNKNOWN = "On which platform it was recorded is not known."
-PLATFORM_SAME = "It was recorded on this very platform, on which it must be the same: please report it."
 
 
 def compare_rows(recorded: Rows, now: Rows) -> dict[str, NDArray[np.bool_]]:
@@ -151,12 +141,3 @@ def column_words(row: np.void, column: str) -> str:
     if column == "outcome":
         return Outcome(value).name.lower() if value in set(Outcome) else str(value)
     return " ".join(str(number) for number in np.atleast_1d(value))
-
-
-def platform_words(recorded: Mapping[str, str], now: Mapping[str, str]) -> str:
-    """Describe how two platforms differ, in a sentence."""
-    if not recorded:
-        return PLATFORM_UNKNOWN
-    if not (differing := platforms.platform_differences(recorded, now)):
-        return f"It was recorded on this platform; {GPU_BITS}." if platforms.is_of_gpu(now) else PLATFORM_SAME
-    return f"It was recorded on another platform; here is {differing}."

@@ -27,9 +27,9 @@ from qdgrasp_coordinator.scheduler.run_plan import (
 )
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
-from qdgrasp_coordinator.storage import platforms
 from qdgrasp_coordinator.storage.engine_table import check_table, write_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.platforms import platform_differences, platform_of
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenance
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
@@ -136,10 +136,7 @@ class ReevaluationQueue(RunQueue):
         self.different.append(
             DifferentRow(
                 folder=str(selection.folder.path),
-                run=selection.found_by.run,
                 number=int(selection.numbers[place]),
-                generation=int(recorded["generation"]),
-                index=int(recorded["index"]),
                 trial=int(recorded["trial"]),
                 columns=differences,
                 reason=reason,
@@ -165,7 +162,7 @@ def choose_rows(folders: Sequence[RunFolder], most: int | None, seed: int) -> li
     Rows on which the simulator failed are tried again too: their machines may have been to blame. Raises
     InputError if there is nothing to compare.
     """
-    stocks = [stock for folder in folders for stock in _comparable_rows(folder)]
+    stocks = list(map(_comparable_rows, folders))
     kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *(kinds for _, kinds in stocks)])
     if not len(kinds):
         raise InputError("Nothing is recorded there that could be evaluated again.")
@@ -202,35 +199,26 @@ def verify_rows(
     )
 
 
-def _comparable_rows(folder: RunFolder) -> Iterator[tuple[RowSelection, NDArray[np.uint8]]]:
-    """Yield the rows of each run in a folder that can be compared, with their kinds (n,).
-
-    A kind is an outcome, of nominal rows apart from trials.
-    """
+def _comparable_rows(folder: RunFolder) -> tuple[RowSelection, NDArray[np.uint8]]:
+    """Return the rows of a run with their kinds (n,): outcomes, trials apart."""
     with folder.journal() as journal:
+        blocks = [journal.shape.empty(0)[["outcome", "trial"]]]
+        blocks += [rows[["outcome", "trial"]] for rows in journal.blocks()]
         found_by = provenance(folder, journal)
-        parts = [
-            rows["outcome"] + TRIAL_KIND * (rows["trial"] > 0).astype(np.uint8) for rows in journal.blocks()
-        ]
-        kinds = np.concatenate([np.zeros(0, dtype=np.uint8), *parts])
-        yield RowSelection(folder, found_by, np.arange(len(kinds))), kinds
+    rows = np.concatenate(blocks)
+    kinds = rows["outcome"] + TRIAL_KIND * (rows["trial"] > 0).astype(np.uint8)
+    return RowSelection(folder, found_by, np.arange(len(kinds))), kinds
 
 
 def _platform_shares(selections: Sequence[RowSelection], now: dict[str, str]) -> Iterator[PlatformShare]:
     """Yield the platforms that rows were made on, those of most rows first."""
-    counts: Counter[tuple[str | None, tuple[tuple[str, str], ...]]] = Counter()
+    counts: Counter[tuple[tuple[str, str], ...]] = Counter()
     for selection in selections:
-        engine = selection.found_by.spec.engine
-        platform = platforms.platform_of(engine, selection.found_by.platform)
-        counts[engine, tuple(sorted(platform.items()))] += len(selection.numbers)
-    for (simulated_in, items), rows in counts.most_common():
-        platform = dict(items)
-        yield PlatformShare(
-            rows=rows,
-            platform=platform,
-            differences=platforms.platform_differences(platform, now),
-            not_recorded=platforms.missing_entries(simulated_in, platform),
-        )
+        platform = platform_of(selection.found_by.spec.engine, selection.found_by.platform)
+        counts[tuple(sorted(platform.items()))] += len(selection.numbers)
+    for items, rows in counts.most_common():
+        differences = platform_differences(dict(items), now)
+        yield PlatformShare(rows=rows, platform=dict(items), differences=differences)
 
 
 class EngineComparison(Struct, frozen=True, kw_only=True):

@@ -5,8 +5,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_tools.rendering.ray_renderer import fit_camera
 from qdgrasp_tools.rendering.views import (
@@ -15,7 +14,7 @@ from qdgrasp_tools.rendering.views import (
     LEAST_FACING,
     LEAST_HANDS,
     MOST_HANDS,
-    best_side,
+    best_azimuth,
     spread_grasps,
 )
 
@@ -80,16 +79,25 @@ def test_of_no_successes_none_is_chosen(jaw: SceneGripper) -> None:
     assert len(spread_grasps(around(0, Outcome.HELD), jaw, VIEW)) == 0
 
 
-def test_a_plate_is_seen_from_its_broad_side(jaw: SceneGripper) -> None:
+def scene_of(shape: trimesh.Trimesh) -> Scene:
+    scene = made_scene()
+    mesh = {
+        "mesh_vertices": shape.vertices.astype("<f4").tobytes(),
+        "mesh_faces": shape.faces.astype("<u4").tobytes(),
+    }
+    return msgspec.structs.replace(scene, object=msgspec.structs.replace(scene.object, **mesh))
+
+
+def test_a_plate_is_seen_from_its_broad_side() -> None:
     plate = trimesh.creation.box((0.02, 0.2, 0.1))
-    side = best_side(Mesh(np.array(plate.vertices), np.array(plate.faces)), around(0, Outcome.HELD), jaw, 0.3)
+    side = best_azimuth(scene_of(plate), around(0, Outcome.HELD))
     assert abs(np.cos(side)) > 0.9
 
 
-def test_grasps_on_one_side_are_not_seen_from_straight_ahead_or_behind(jaw: SceneGripper) -> None:
+def test_grasps_on_one_side_are_not_seen_from_straight_ahead_or_behind() -> None:
     ball = trimesh.creation.icosphere(radius=0.05)
     rows = around(2000, Outcome.HELD)
     for azimuth in AZIMUTHS[::3]:
         toward = rows["base_to_object"][:, :2] @ [np.cos(azimuth), np.sin(azimuth)]
-        side = best_side(Mesh(np.array(ball.vertices), np.array(ball.faces)), rows[toward > 0.11], jaw, 0.3)
+        side = best_azimuth(scene_of(ball), rows[toward > 0.11])
         assert abs(np.cos(side - azimuth)) < 0.9

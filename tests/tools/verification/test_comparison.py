@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from qdgrasp_protocol.replay_messages import ReplayAnswer
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_tools.verification import comparison
 
@@ -43,13 +44,26 @@ def test_numbers_are_told_so_that_they_are_told_apart(recorded: Rows) -> None:
     assert words == "penetration 0.001 instead of 0.0010000002"
 
 
-@pytest.mark.parametrize(
-    ("recorded", "expected"),
-    [
-        ({}, comparison.PLATFORM_UNKNOWN),
-        ({"numpy": "2.4.6"}, comparison.PLATFORM_SAME),
-        ({"numpy": "1.0"}, "It was recorded on another platform; here is numpy 2.4.6 instead of 1.0."),
-    ],
-)
-def test_platforms_are_compared_in_a_sentence(recorded: dict[str, str], expected: str) -> None:
-    assert comparison.platform_words(recorded, {"numpy": "2.4.6"}) == expected
+def test_a_replay_differs_from_its_row_in_the_columns_that_the_row_has() -> None:
+    answer = ReplayAnswer(
+        outcome=7,
+        fitness=2,
+        joints=(0.01, 0.02),
+        contacts=2,
+        penetration=0.0,
+        settled=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+        contact_links=(1,),
+        contact_points=(0.0,) * 7,
+        snapshots=(),
+    )
+    (row,), (bare,) = RowShape(2, 2, contact_slots=2).empty(1), RowShape(2, 2).empty(1)
+    for one in (row, bare):
+        one["outcome"], one["fitness"], one["contacts"] = answer.outcome, answer.fitness, answer.contacts
+        one["joints"] = answer.joints
+    row["settled"], row["contact_links"][:1] = answer.settled, 1
+    for one in (row, bare):
+        assert comparison.row_differences(one, comparison.row_with_answer(one, answer)) == {}
+    row["settled"][0] += 0.001
+    row["contact_points"][0] = 0.02
+    found = comparison.row_differences(row, comparison.row_with_answer(row, answer))
+    assert found.keys() == {"settled", "contact_points"}

@@ -209,12 +209,12 @@ def test_rows_of_a_gpu_are_said_to_have_no_fixed_bits() -> None:
     platforms = {"NVIDIA H100 90": "; on a GPU rows have no fixed bits", "CPU": ""}
     for device, words in platforms.items():
         origin = PlatformShare(rows=2, platform={"warp_device": device}, differences="")
-        assert origin.words == f"2 of them were made on this platform{words}"
+        assert origin.words == f"this platform{words}"
 
 
 def test_rows_that_differ_are_told_one_by_one_with_the_platform() -> None:
     different = DifferentRow(
-        folder="runs/mug", run="run", number=7, generation=0, index=7, trial=0,
+        folder="runs/mug", number=7, trial=0,
         columns={"fitness": ComparedValues(recorded="2.0", now="1.0")}, reason="",
     )  # fmt: skip
     origins = [

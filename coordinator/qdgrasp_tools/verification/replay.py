@@ -1,26 +1,49 @@
-"""Draws a replayed evaluation: a PNG of one moment, or a GIF of its course."""
+"""Replays a recorded evaluation in a process, and draws it: a moment, or a film.
 
+The replay is compared with what is recorded, bit for bit.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import chain, product
+from itertools import product
 from pathlib import Path
 from typing import Literal, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageColor, ImageDraw
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.hand_geometry import hand_geometry
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.scene import Bundle, Scene
+from qdgrasp_coordinator.search.fixed_poses import as_given
+from qdgrasp_coordinator.search.registry import prior_of
+from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.outputs import OutFile
-from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.replay_messages import Phase, Pose, Snapshot
+from qdgrasp_coordinator.storage.platforms import platform_differences
+from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenance
+from qdgrasp_protocol.errors import InputError, QdgraspError
+from qdgrasp_protocol.process import ProcessExit, ProcessSupervisor, Stop
+from qdgrasp_protocol.replay_messages import (
+    ANSWER,
+    REQUEST,
+    SCENE,
+    Phase,
+    Pose,
+    ReplayAnswer,
+    ReplayRequest,
+    Snapshot,
+)
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.rendering.drawings import AXIS_COLOURS, FRAME_LENGTH, STANDOFF_COLOUR, project_point
+from qdgrasp_tools.local.supervisor import GRACE
 from qdgrasp_tools.rendering.ray_renderer import (
     RAYS_PER_PIXEL,
     LayeredImage,
@@ -29,8 +52,118 @@ from qdgrasp_tools.rendering.ray_renderer import (
     fit_camera,
 )
 from qdgrasp_tools.rendering.views import CLAY, FINGER_HUES, STEEL, object_mesh, paint_body, rgb
+from qdgrasp_tools.report.row_report import row_at
 from qdgrasp_tools.verification import comparison
-from qdgrasp_tools.verification.replay_client import ReplayTarget, local_platform, replay_evaluation
+
+
+@dataclass(frozen=True)
+class ReplayTarget:
+    """A recorded row to replay, with its run and scene."""
+
+    number: int
+    row: np.void
+    """The row in the shape of its own run."""
+    found_by: Provenance
+    scene: Scene
+    bundle: Bundle
+
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome of its evaluation."""
+        return Outcome(self.row["outcome"])
+
+    @property
+    def trial(self) -> int:
+        """Number of the trial; 0: the nominal evaluation."""
+        return int(self.row["trial"])
+
+    @property
+    def genome(self) -> tuple[float, ...]:
+        """Genome of the prior `given`, with its very pose."""
+        prior = prior_of(self.found_by.spec)
+        return tuple(as_given(self.scene, prior, self.row.reshape(1))[0].tolist())
+
+
+def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> ReplayTarget:
+    """Find a row by its number in a folder's journal, or one of the trials of its genome.
+
+    Raises InputError if there is no such row or trial, or no pose of it to show, and FolderError if the
+    folder cannot be read.
+    """
+    with folder.journal() as journal:
+        row = row_at(folder, journal, number)
+        found_by = provenance(folder, journal)
+        if trial is not None and trial != row["trial"]:
+            number, row = _trial_of(journal, number, row, trial)
+        if not row["base_to_object"].any():
+            why = "it is a dead end, for which decoding found no pose"
+            if row["outcome"] == Outcome.ERROR:
+                why = f"its evaluation failed: {journal.errors().get(number, 'why is not recorded')}"
+            raise InputError(f"There is nothing of row {number} to show: {why}.")
+    scene = folder.scene()
+    return ReplayTarget(number, row, found_by, scene, folder.bundle())
+
+
+def _trial_of(journal: Journal, number: int, row: np.void, trial: int) -> tuple[int, np.void]:
+    first = recorded = 0
+    for rows in journal.blocks():
+        is_its = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
+        for place in np.flatnonzero(is_its).tolist():
+            recorded = max(recorded, int(rows["trial"][place]))
+            if rows["trial"][place] == trial:
+                return first + place, rows[place]
+        first += len(rows)
+    there = f"trials 1 to {recorded} are" if recorded else "no trial is"
+    raise InputError(
+        f"Trial {trial} of row {number} is not recorded: {there}; only successes of a run under the protocol "
+        "robust, or of a rerank, have any."
+    )
+
+
+REPLAY_MODULE = "qdgrasp_worker.replay"
+POLL_INTERVAL = 0.05  # seconds between two looks whether it is done
+
+
+class ReplayFailed(QdgraspError):
+    """The process that replays ended without an answer."""
+
+    def __init__(self, death: ProcessExit) -> None:
+        super().__init__(f"The process that replays {death.description}. {death.words}".strip())
+
+
+def replay_evaluation(shown: ReplayTarget, stop: Stop) -> ReplayAnswer | None:
+    """Replay a row in a process of its own; None where a signal came first.
+
+    Raises ReplayFailed if its replay failed.
+    """
+    with tempfile.TemporaryDirectory(prefix="qdgrasp-") as name:
+        folder = Path(name)
+        (folder / SCENE).write_bytes(shown.bundle.payload)
+        request = ReplayRequest(genome=shown.genome, trial=shown.trial)
+        (folder / REQUEST).write_bytes(msgspec.json.encode(request))
+        _run_process(folder, stop)
+        if stop.is_set:
+            return None
+        return msgspec.json.decode((folder / ANSWER).read_bytes(), type=ReplayAnswer)
+
+
+def local_platform() -> dict[str, str]:
+    """Return the entries that decide the bits of results on this machine."""
+    command = [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"]
+    test = subprocess.run(command, capture_output=True, check=True, text=True)
+    return dict(json.loads(test.stdout))
+
+
+def _run_process(folder: Path, stop: Stop) -> None:
+    with ProcessSupervisor(folder, GRACE) as processes:
+        processes.start("replay", REPLAY_MODULE, [str(folder)])
+        while not (stop.is_set or (ended := processes.exits())):
+            with suppress(subprocess.TimeoutExpired):
+                processes.process("replay").wait(POLL_INTERVAL)
+        for death in () if stop.is_set else ended:
+            if death.exit_code:
+                raise ReplayFailed(death)
+
 
 STEPS_PER_FRAME = 6  # Least number of steps of 1/240 s from one frame to the next
 FRAME_SECONDS = 0.08  # Seconds for which a frame of so many steps is shown: 3.2 times slower than simulated
@@ -85,13 +218,6 @@ def film_snapshots(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Out
 AZIMUTHS, ELEVATIONS = range(0, 360, 20), (12, 30)  # The camera's directions that are tried [deg]
 PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture whose pixels are only counted
 OBJECT_HUE, FINGER_HUE, PALM_HUE = rgb(CLAY), rgb(FINGER_HUES[0]), rgb(STEEL)
-FINGER_CONTACT_COLOUR, OTHER_CONTACT_COLOUR, OVERLAP_COLOUR = "#ee7733", "#c0a020", "#dd1144"
-MARK_COLOURS = (
-    *AXIS_COLOURS.values(), STANDOFF_COLOUR, FINGER_CONTACT_COLOUR, OTHER_CONTACT_COLOUR, OVERLAP_COLOUR
-)  # fmt: skip
-APPROACH_LENGTH, NORMAL_LENGTH = 0.06, 0.025  # Lengths of the approach axis and of a contact's normal [m]
-LINE_SHARE = 1 / 250  # Width of lines, as a share of the picture's height
-FINENESS = 3  # Factor by which marks are drawn finer than they are shown
 
 
 @dataclass(frozen=True)
@@ -114,7 +240,6 @@ class SnapshotRenderer:
     """Draws snapshots of a scene: the hand by its collision shapes, the object by its surface."""
 
     def __init__(self, scene: Scene) -> None:
-        self._gripper = scene.gripper
         hand = hand_geometry(scene.gripper)
         self._robot = hand.whole
         fingers = scene.gripper.finger_links
@@ -153,42 +278,12 @@ class SnapshotRenderer:
         return float(azimuth), float(elevation)
 
     def draw(self, snapshot: Snapshot, camera: ParallelCamera) -> Image.Image:
-        """Draw a snapshot with its frames, the approach axis and contacts, over everything."""
-        image = self._painted(snapshot, camera).composed()
-        drawn = Image.fromarray(np.rint(255 * image).astype(np.uint8)).convert("RGBA")
-        marks = Image.new("RGBA", (FINENESS * drawn.width, FINENESS * drawn.height))
-        pen, width = ImageDraw.Draw(marks), FINENESS * drawn.height * LINE_SHARE
-
-        def line(start: Floats, end: Floats, colour: str) -> None:
-            ends = [project_point(camera, point) for point in (start, end)]
-            pen.line([FINENESS * place for place in chain(*ends)], fill=colour, width=round(width))
-
-        hand, target = self._hand_frame(snapshot), pose_frame(snapshot.object)
-        for frame in (target, hand):
-            for axis, colour in enumerate(AXIS_COLOURS.values()):
-                line(frame[:3, 3], frame[:3, 3] + FRAME_LENGTH * frame[:3, axis], colour)
-        approach = hand[:3, :3] @ self._gripper.approach_axis
-        palm = hand[:3, 3] + self._gripper.palm_offset * approach
-        line(palm, palm + APPROACH_LENGTH * approach, STANDOFF_COLOUR)
-        for touch in snapshot.touches:
-            colour = FINGER_CONTACT_COLOUR if touch.is_finger else OTHER_CONTACT_COLOUR
-            colour = OVERLAP_COLOUR if snapshot.phase == "placed" and touch.distance < 0 else colour
-            point = np.array(touch.point)
-            line(point, point + NORMAL_LENGTH * np.array(touch.normal), colour)
-            middle = [FINENESS * place for place in project_point(camera, point)]
-            pen.circle(middle, 1.8 * width, fill=colour, outline="white", width=round(width / 2))
-        shrunk = marks.resize(drawn.size, Image.Resampling.BOX)
-        return Image.alpha_composite(drawn, shrunk).convert("RGB")
-
-    def _hand_frame(self, snapshot: Snapshot) -> Floats:
-        return self._frames(snapshot)[self._gripper.base_link]
-
-    def _frames(self, snapshot: Snapshot) -> dict[str, Floats]:
-        return self._robot.forward(snapshot.joints, pose_frame(snapshot.root))
+        """Draw a snapshot."""
+        return Image.fromarray(np.rint(255 * self._painted(snapshot, camera).composed()).astype(np.uint8))
 
     def _placed(self, snapshot: Snapshot) -> list[tuple[DrawnBody, Floats]]:
         """All bodies with their frames (4, 4), the object at the end."""
-        frames = self._frames(snapshot)
+        frames = self._robot.forward(snapshot.joints, pose_frame(snapshot.root))
         hand = [(body, frames[link]) for link, body in self._links.items()]
         return [*hand, (self._object, pose_frame(snapshot.object))]
 
@@ -209,7 +304,6 @@ def pose_frame(pose: Pose) -> NDArray[np.float64]:
 SMALLEST, LARGEST = (320, 240), {".png": (3840, 2160), ".gif": (1280, 960)}
 """Least width and height of a picture, and the greatest by file ending: a film has some ninety frames."""
 PALETTE_FRAMES = 8  # Frames that a film's colours are taken from
-PALETTE_COLOURS = 240  # Colours of a film besides those of marks
 
 
 @dataclass(frozen=True)
@@ -260,9 +354,7 @@ def write_gif(path: Path, images: Sequence[Image.Image], seconds: Sequence[float
     """Write all frames in one set of colours, so that nothing flickers."""
     some = images[:: max(1, len(images) // PALETTE_FRAMES)]
     sheet = Image.fromarray(np.concatenate([np.asarray(image) for image in some]))
-    palette = sheet.quantize(PALETTE_COLOURS)
-    marks = chain.from_iterable(map(ImageColor.getrgb, MARK_COLOURS))
-    palette.putpalette([*(palette.getpalette() or [])[: 3 * PALETTE_COLOURS], *marks])
+    palette = sheet.quantize()
     first, *others = (image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images)
     ends = np.rint(100 * np.cumsum(seconds)).astype(int)  # a GIF counts in 10 ms
     durations = (10 * np.diff(ends, prepend=0)).tolist()
@@ -272,5 +364,7 @@ def write_gif(path: Path, images: Sequence[Image.Image], seconds: Sequence[float
 def difference_reason(shown: ReplayTarget, differences: dict[str, comparison.ComparedValues]) -> str:
     """Describe the differences, and how this platform differs from that of the row."""
     words = ", ".join(comparison.difference_words(differences))
-    platform = comparison.platform_words(shown.found_by.platform, local_platform())
-    return f"The replay differs from row {shown.number}: {words}. {platform}"
+    recorded = shown.found_by.platform
+    unlike = platform_differences(recorded, local_platform())
+    made = comparison.PlatformShare(rows=1, platform=recorded, differences=unlike)
+    return f"The replay differs from row {shown.number}: {words}. It was recorded on {made.words}."
