@@ -1,13 +1,10 @@
 """Checks what a program hands in before anything is started or written.
 
-Paths, numbers and texts; a gripper, an object and a protocol as keyword arguments; and arrays of genomes.
+A gripper, an object and a protocol as keyword arguments; and arrays of genomes.
 """
 
 import os
 from collections.abc import Callable, Iterable
-from math import inf
-from pathlib import Path
-from sys import maxsize
 from typing import Any, Literal, Required, TypedDict, TypeVar
 
 import numpy as np
@@ -24,42 +21,9 @@ from qdgrasp_protocol.spec import BaseName, EngineChoice, ProtocolName, RunSpec,
 Made = TypeVar("Made")
 
 
-def path_of(name: str, value: str | os.PathLike[str]) -> Path:
-    """Return a path; raises ImpossibleValue for another type."""
-    try:
-        return Path(value)
-    except TypeError:
-        raise ImpossibleValue(name, value, "a path") from None
-
-
-def check_text(name: str, value: object) -> None:
-    """Check a text that may be None; raises ImpossibleValue for an empty one or another type."""
-    if value is not None and not (isinstance(value, str) and value):
-        raise ImpossibleValue(name, value, "text")
-
-
-def check_whole(name: str, value: object, least: int, most: float = inf) -> None:
-    """Check an integer that may be None; raises ImpossibleValue outside its bounds."""
-    plain = plain_number(value)
-    if value is not None and not (isinstance(plain, int) and _is_within(plain, least, most)):
-        bounds = f"at least {least}" if most == inf else f"from {least} to {most}"
-        raise ImpossibleValue(name, value, f"a whole number, {bounds}")
-
-
-def check_seconds(name: str, value: object, least: float) -> None:
-    """Check a time [s]; raises ImpossibleValue below `least` or for another type."""
-    plain = plain_number(value)
-    if not (isinstance(plain, int | float) and _is_within(plain, least, maxsize)):
-        raise ImpossibleValue(name, value, f"seconds, at least {least:g}")
-
-
 def plain_number(value: Any) -> Any:
     """Return a scalar of numpy as the number that it is, and anything else as it is."""
     return value.item() if isinstance(value, np.generic) else value
-
-
-def _is_within(value: float, least: float, most: float) -> bool:
-    return not isinstance(value, bool) and least <= value <= most
 
 
 def call_factory(name: str, make: Callable[..., Made], of: object, verbs: Iterable[str]) -> Made:

@@ -11,13 +11,12 @@ from typing import TypeAlias
 
 import structlog
 
-from qdgrasp.arguments import check_text, check_whole, path_of
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import configure_logging
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
-from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import ProgressDisplay
 from qdgrasp_tools.local.supervisor import LocalSession, check_engines, open_session
@@ -49,16 +48,13 @@ class Place:
     """Rows in a batch; None: measured. No result depends on it."""
 
     def __post_init__(self) -> None:
-        check_whole("Place: workers", self.workers, 0)
-        check_whole("Place: batch_size", self.batch_size, 1, MAX_POPULATION)
-        check_text("Place: job", self.job)
-        check_text("Place: connect", self.connect)
+        for name, value, least in (("workers", self.workers, 0), ("batch_size", self.batch_size, 1)):
+            if value is not None and value < least:
+                raise ImpossibleValue(f"Place: {name}", value, f"a whole number, at least {least}")
         if self.job:
             Keys(self.job)
-        if self.connect:
+        if self.connect is not None:
             parse_endpoints(self.connect)
-        if self.security is not None:
-            path_of("Place: security", self.security)
         if self.security and not self.connect:
             raise InputError(
                 "Place: certificates are for the links to a router: name it with connect='tls/HOST:PORT', or "

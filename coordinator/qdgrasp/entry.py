@@ -6,38 +6,9 @@ takes a part of a second; from then on `run_command` and `lifetime` handle them.
 
 import os
 import signal
+from functools import partial
 from importlib import import_module
 from types import FrameType
-
-
-def qdgrasp() -> None:
-    """Entry point of `qdgrasp`."""
-    _enter("qdgrasp_tools.cli.main")
-
-
-def coordinator() -> None:
-    """Entry point of `qdgrasp-coordinator`."""
-    _enter("qdgrasp_tools.cli.coordinator_process")
-
-
-def monitor() -> None:
-    """Entry point of `qdgrasp-monitor`."""
-    _enter("qdgrasp_tools.cli.monitor_process")
-
-
-def recorder() -> None:
-    """Entry point of `qdgrasp-recorder`."""
-    _enter("qdgrasp_tools.cli.recorder_process")
-
-
-def router() -> None:
-    """Entry point of `qdgrasp-router`."""
-    _enter("qdgrasp_tools.cli.router_process")
-
-
-def worker() -> None:
-    """Entry point of `qdgrasp-worker`."""
-    _enter("qdgrasp_worker.cli")
 
 
 def _enter(module: str) -> None:
@@ -48,3 +19,11 @@ def _enter(module: str) -> None:
 
 def _leave(number: int, _frame: FrameType | None) -> None:
     os._exit(128 + number)
+
+
+qdgrasp = partial(_enter, "qdgrasp_tools.cli.main")
+coordinator = partial(_enter, "qdgrasp_tools.cli.coordinator_process")
+monitor = partial(_enter, "qdgrasp_tools.cli.monitor_process")
+recorder = partial(_enter, "qdgrasp_tools.cli.recorder_process")
+router = partial(_enter, "qdgrasp_tools.cli.router_process")
+worker = partial(_enter, "qdgrasp_worker.cli")

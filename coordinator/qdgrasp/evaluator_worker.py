@@ -4,7 +4,9 @@ import inspect
 import os
 import sys
 
-from qdgrasp.arguments import check_seconds, check_text, check_whole, path_of
+from typer.exceptions import TyperException
+
+from qdgrasp_protocol.cli_support import usage_error
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_worker.cli import app
 from qdgrasp_worker.runtime.evaluator_api import EvaluatorFactory
@@ -62,22 +64,21 @@ def serve(
     --------
     >>> qdgrasp.serve(Ballistic, connect="tcp/127.0.0.1:7447", job="mine")
     """
-    check_text("serve: connect", connect)
-    check_text("serve: job", job)
-    check_whole("serve: workers", workers, 1)
-    check_seconds("serve: row_seconds", row_seconds, 0.1)
-    check_seconds("serve: wait", wait, 0)
     flags = {
         "--evaluator": evaluator if isinstance(evaluator, str) else evaluator_name(evaluator),
         "--connect": connect,
         "--job": job,
-        "--security": None if security is None else path_of("serve: security", security),
+        "--security": security,
         "--workers": workers,
         "--row-seconds": row_seconds,
         "--wait": wait,
     }
     given = [str(word) for flag, value in flags.items() if value is not None for word in (flag, value)]
-    if app(given, prog_name="qdgrasp-worker", standalone_mode=False) == InputError.exit_code:
+    try:
+        code = app(given, prog_name="qdgrasp-worker", standalone_mode=False)
+    except TyperException as error:
+        raise InputError(usage_error(error, "qdgrasp-worker")) from None
+    if code == InputError.exit_code:
         raise InputError("The workers ended at their start; what they said stands above.")
 
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp.arguments import check_text
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import ImpossibleValue
@@ -38,11 +37,7 @@ class Hand:
             self.gripper = gripper
             """Links, joints and shapes, as a scene holds them."""
             return
-        name = os.fspath(gripper) if isinstance(gripper, os.PathLike) else gripper
-        check_text("gripper", name)
-        if name is None:
-            raise ImpossibleValue("gripper", name, "a name or a file")
-        self.gripper = find_gripper(name).on_carrier(PROTOCOL)
+        self.gripper = find_gripper(os.fspath(gripper)).on_carrier(PROTOCOL)
 
     def __repr__(self) -> str:
         return f"qdgrasp.Hand({self.name!r})"

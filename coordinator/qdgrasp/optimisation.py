@@ -13,7 +13,6 @@ from qdgrasp.arguments import (
     call_factory,
     check_genomes,
     layout_of,
-    path_of,
     spec_from_arguments,
 )
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
@@ -139,7 +138,7 @@ def optimise(
     ...         print(generation, rows["fitness"].mean())
     >>> run = qdgrasp.optimise(Uniform, "runs/mine", evaluations=1000, gripper="panda", object="mug")
     """
-    path = path_of("out", out)
+    path = Path(out)
     check_place(place)
     place.check_hands()
     if prior not in list(CUSTOM):

@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from qdgrasp.arguments import path_of
 from qdgrasp.hand import Hand
 from qdgrasp_assets.genes import archive_box, layout
 from qdgrasp_assets.scene import Scene
@@ -36,12 +35,11 @@ from qdgrasp_tools.export.tabular import arrow_table, load_pandas
 class Run:
     """A run's folder, for reading; each call returns what is recorded by then.
 
-    `path` is the folder; of a campaign, that of one of its runs. Raises ImpossibleValue if it is no path,
-    FolderError if it holds no run.
+    `path` is the folder; of a campaign, that of one of its runs. Raises FolderError if it holds no run.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = path_of("path", path)
+        self.path = Path(path)
         self._folder = RunFolder.open(self.path)
 
     def __repr__(self) -> str:
@@ -179,12 +177,11 @@ FIGURES = (
 class CampaignRuns:
     """The runs of a campaign's folder, for reading: iterated by object and hand, one at a time.
 
-    Only the names of the runs are in memory. Raises ImpossibleValue if `path` is no path, FolderError if it
-    holds no campaign.
+    Only the names of the runs are in memory. Raises FolderError if the folder holds no campaign.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = path_of("path", path)
+        self.path = Path(path)
         self._folder = open_campaign(self.path)
 
     def __repr__(self) -> str:
@@ -232,5 +229,5 @@ def open(path: str | os.PathLike[str]) -> Any:  # noqa: A001  # said as qdgrasp.
     ...     for table in run.tables():
     ...         print(run.spec.object, run.spec.gripper, table.num_rows)
     """
-    folder = path_of("path", path)
+    folder = Path(path)
     return CampaignRuns(folder) if JobFolder.is_job(folder) and JobFolder(folder).is_campaign else Run(folder)

@@ -4,7 +4,6 @@ import io
 from base64 import b64decode
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from tests.tools.export.conftest import random_rows
 import qdgrasp
 from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import Outcome
 
 COM = (0.01, -0.02, 0.03)
@@ -88,12 +87,6 @@ def test_a_hand_is_a_scene_with_any_joints() -> None:
     for joints in ([0.1], [0.1, np.nan], [[0.1, 0.1]]):
         with pytest.raises(ImpossibleValue, match="2 finite numbers, of panda_finger_joint1"):
             hand.scene(joints)
-
-
-@pytest.mark.parametrize("gripper", ["", None, 3])
-def test_what_is_no_gripper_is_refused(gripper: Any) -> None:
-    with pytest.raises(InputError):
-        qdgrasp.Hand(gripper)
 
 
 def test_grasps_are_a_table_of_pandas(run: qdgrasp.Run) -> None:

@@ -30,7 +30,6 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no function": ({"make": 3}, "make must be a class or function that is called with the genes, got 3"),
     "no search": ({"make": len}, "The result of make, 7, has no ask and no tell"),
     "a search that hears nothing": ({"make": lambda genes: iter(genes.names)}, "has no ask and no tell"),
-    "no path": ({"out": 3}, "out must be a path, got 3"),
     "no prior": ({"prior": ["contact"]}, "Unknown prior"),
     "no budget": (
         {"evaluations": 0},
