@@ -24,7 +24,7 @@ from qdgrasp_protocol.keys import AnyJob, Keys
 from qdgrasp_protocol.text import first_few
 from qdgrasp_tools.campaign.object_table import with_events
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
-from qdgrasp_tools.monitor.records import JobRecords
+from qdgrasp_tools.monitor.records import BusRecords
 
 log = structlog.get_logger()
 
@@ -145,7 +145,7 @@ class Feed:
 class RecordFeed:
     """Objects and curves from a recorder, read in a thread while they are asked for."""
 
-    def __init__(self, records: JobRecords) -> None:
+    def __init__(self, records: BusRecords) -> None:
         self._records = records
         self._known: dict[tuple[str, ...], Any] = {}
         self._due: dict[tuple[str, ...], float] = {}

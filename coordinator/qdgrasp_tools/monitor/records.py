@@ -6,7 +6,7 @@ from itertools import count
 from pathlib import Path
 from shlex import quote
 from socket import gethostname
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, TypeAlias
 
 import msgspec
 
@@ -18,7 +18,7 @@ from qdgrasp_coordinator.metrics.job_status import (
     RunListings,
     from_json,
 )
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, count_rows
+from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.storage import outputs, success_pages
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -42,17 +42,11 @@ class JournalId(NamedTuple):
     began: float  # Time of its beginning [s since 1970]
 
 
-class RunLocation(NamedTuple):
-    """Folder of a run, and its host; an empty host is this machine."""
-
-    folder: str
-    host: str = ""
-
-    def commands(self, number: int) -> list[str]:
-        """Return the commands that print a row and draw it, with the machine to run them on."""
-        folder = quote(printable(self.folder))
-        host = f"  # on {printable(self.host)}" if self.host else ""
-        return [command.format(folder=folder, number=number) + host for command in COMMANDS]
+def row_commands(folder: str, host: str, number: int) -> list[str]:
+    """Return the commands that print a row and draw it, with the machine to run them on."""
+    on_host = f"  # on {printable(host)}" if host else ""
+    place = quote(printable(folder))
+    return [command.format(folder=place, number=number) + on_host for command in COMMANDS]
 
 
 @dataclass(frozen=True)
@@ -70,42 +64,6 @@ class RecordPage:
         A page also does not get on where successes lack trials: these are read again.
         """
         return self.next >= self.rows or self.next <= first
-
-
-class Records(Protocol):
-    """Successes and scenes of runs. Its methods may take a while; any thread may call them.
-
-    They raise `InputError` where there is no such job or run, or it cannot be read, and `BusError` or
-    `MessageError` where there is no answer, or not as agreed.
-    """
-
-    def scene(self, job: str, run: str, digest: str) -> Scene:
-        """Return the scene of a run that `page` named."""
-
-    def page(self, job: str, run: str, first: int) -> RecordPage:
-        """Return some successes of a run from journal number `first` on; `next` leads to more."""
-
-    def curve(self, job: str, run: str) -> GrowthCurve:
-        """Return the curve of a run from its beginning on; without points where it is not known."""
-
-    def place(self, job: str, run: str) -> RunLocation:
-        """Return the location of a run."""
-
-    def settings(self, job: str, run: str) -> dict[str, str]:
-        """Return what a run was asked for, in words by their names, as far as it is known."""
-
-
-class JobRecords(Records, Protocol):
-    """Records that also list the runs and objects of jobs."""
-
-    def entries(self, job: str) -> RunListings:
-        """Return the runs of a job, finished ones too; those not counted yet are left out for now."""
-
-    def entry(self, job: str, run: str) -> RunListing | None:
-        """Return a run of a job; None: it has not begun, or is not counted yet."""
-
-    def objects(self, job: str) -> ObjectListings:
-        """Return all objects of a job, as far as the rows of their runs are counted."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +129,11 @@ def _free_name(name: str, taken: dict[str, FolderJob]) -> str:
 
 
 class BusRecords:
-    """`JobRecords` over the bus: answers of the recorder; the coordinator is not involved."""
+    """Records over the bus: answers of the recorder; the coordinator is not involved.
+
+    The methods may take a while; any thread may call them. They raise `InputError` where there is no such job
+    or run, or it cannot be read, and `BusError` or `MessageError` where there is no answer, or not as agreed.
+    """
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
@@ -218,12 +180,12 @@ class BusRecords:
         """Return the curve as far as the recorder has counted the run."""
         return self._entries(job, f"run={run}").curve or GrowthCurve(run=run, points=[])
 
-    def place(self, job: str, run: str) -> RunLocation:
-        """Return the recorder's folder; DIR as a placeholder while it has not counted the run."""
+    def commands(self, job: str, run: str, number: int) -> list[str]:
+        """Return the commands for a row; their folder is DIR while the run is not counted."""
         listings = self._entries(job, f"run={run}")
         folders = {entry.run: entry.folder for entry in listings.runs}
         host = "" if listings.host == gethostname() else listings.host
-        return RunLocation(folders.get(run) or "DIR", host)
+        return row_commands(folders.get(run) or "DIR", host, number)
 
     def settings(self, job: str, run: str) -> dict[str, str]:
         """Return what the recorder lists of the run's spec; nothing before it has counted the run."""
@@ -237,7 +199,7 @@ class BusRecords:
 
 
 class FolderRecords:
-    """`Records` of the jobs in folders, read from their journals as they are now."""
+    """Records of the jobs in folders, read from their journals as they are now."""
 
     def __init__(self, index: FolderIndex) -> None:
         self._index = index
@@ -255,15 +217,9 @@ class FolderRecords:
             context = self._contexts.get(folder, journal)
             return RecordPage(origin, *success_pages.success_page(journal, first, context), journal.count)
 
-    def curve(self, job: str, run: str) -> GrowthCurve:
-        """Count the rows of the journal."""
-        folder = self._index.run(job, run)
-        with folder.journal() as journal:
-            return count_rows(folder.spec, journal.blocks()).curve(run)
-
-    def place(self, job: str, run: str) -> RunLocation:
-        """Return its folder, here."""
-        return RunLocation(str(self._index.run(job, run).path.absolute()))
+    def commands(self, job: str, run: str, number: int) -> list[str]:
+        """Return the commands for a row."""
+        return row_commands(str(self._index.run(job, run).path.absolute()), "", number)
 
     def settings(self, job: str, run: str) -> dict[str, str]:
         """Return the spec in the folder, but for tables and poses in it."""
@@ -273,3 +229,7 @@ class FolderRecords:
             for name, value in values.items()
             if isinstance(value, str | int | float)
         }
+
+
+Records: TypeAlias = BusRecords | FolderRecords
+"""Successes and scenes of runs."""

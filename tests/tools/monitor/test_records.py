@@ -127,8 +127,8 @@ def listed(folder: RunFolder, network: MemoryNetwork) -> Iterator[BusRecords]:
         yield BusRecords(ours)
 
 
-def test_how_a_run_grew_is_told_generation_by_generation(records: Records, folder: RunFolder) -> None:
-    curve, counts = records.curve("mug", "run"), count_rows(folder.spec, [ROWS])
+def test_how_a_run_grew_is_told_generation_by_generation(listed: BusRecords, folder: RunFolder) -> None:
+    curve, counts = listed.curve("mug", "run"), count_rows(folder.spec, [ROWS])
     assert [point.evaluations for point in curve.points] == list(range(10, 301, 10))
     found = [len(ROWS[:stop][success_mask(ROWS[:stop])]) for stop in range(10, 301, 10)]
     assert [point.successes for point in curve.points] == found

@@ -120,6 +120,9 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
     def object_runs(request: Request) -> bytes:
         return caches.object_runs(request.path_params["job"], request.query_params.get("file", ""))
 
+    def curve(request: Request) -> bytes:
+        return caches.curve(request.path_params["job"], request.path_params["run"])
+
     def picture(request: Request) -> bytes:
         return caches.object_picture(request.path_params["job"], request.path_params["run"])
 
@@ -135,6 +138,7 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
         _slow("/api/jobs/{job}/runs", lambda request: caches.runs(request.path_params["job"]), limiter),
         _slow("/api/jobs/{job}/objects", lambda request: _object_page(request, caches, state), limiter),
         _slow("/api/jobs/{job}/objects/runs", object_runs, limiter),
+        _slow("/api/jobs/{job}/runs/{run}/curve", curve, limiter),
         _picture_route("/api/jobs/{job}/runs/{run}/picture", picture),
         Route("/metrics", metrics),
         *_run_routes(caches, limiter),
@@ -221,7 +225,6 @@ def _run_routes(caches: RunCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
 
     path = "/api/jobs/{job}/runs/{run}"
     return [
-        _slow(f"{path}/curve", lambda request: run(request).curve(), limiter),
         _slow(f"{path}/scene", lambda request: run(request).scene(), limiter),
         _slow(f"{path}/cells", cells, limiter, "application/octet-stream"),
         _slow(f"{path}/grasps/{{number}}", lambda request: run(request).grasp(row(request)), limiter),

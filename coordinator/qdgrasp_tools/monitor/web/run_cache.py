@@ -24,7 +24,7 @@ from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListing, R
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
 from qdgrasp_protocol.spec import engine_names
-from qdgrasp_tools.monitor.records import JobRecords, JournalId, RecordPage, Records
+from qdgrasp_tools.monitor.records import BusRecords, JournalId, RecordPage, Records
 from qdgrasp_tools.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
 from qdgrasp_tools.rendering.views import hand_picture, object_picture
 
@@ -33,6 +33,7 @@ BUSY_SECONDS = 3.0  # After a query without an answer the next one waits so long
 MAX_RUNS = 16  # Runs that are kept, as are the following; the longest unused gives way
 MAX_JOBS = 16  # Jobs whose lists of runs are kept
 MAX_ENTRIES = 256  # Runs of single objects whose listings are kept
+MAX_CURVES = 64  # Runs whose curves are kept
 MAX_DIGESTS = 4096  # Runs of which it is kept what scene they have
 MAX_PICTURES = 512  # Pictures that are kept in memory, of some 5 kB
 PICTURE_PIXELS = 96
@@ -155,7 +156,7 @@ class LoadedScene:
 
 
 class RunCache:
-    """One run in the view; any thread may call it. Its methods raise as those of `Records`."""
+    """One run in the view; any thread may call it. Its methods raise as those of `BusRecords`."""
 
     def __init__(self, records: Records, job: str, run: str, clock: Callable[[], float]) -> None:
         self._records, self._job, self._run, self._clock = records, job, run, clock
@@ -166,7 +167,6 @@ class RunCache:
 
         self._scenes = made_once(MAX_SCENES, scene)
         self._pictures = made_once(MAX_GRASP_PICTURES, self._draw)
-        self._curve = TtlCache(lambda _: records.curve(job, run), lambda _: LISTED_SECONDS, clock)
 
     def scene(self) -> bytes:
         """Return JSON of the `BrowserScene` of the journal that the cells are from."""
@@ -178,14 +178,10 @@ class RunCache:
         """Return a page of voxels from the serial `first` on, with the successes read until now."""
         return self._reading.get().voxels.page(first)
 
-    def curve(self) -> bytes:
-        """Return its growth, also of a run that is over: JSON of `GrowthCurve`."""
-        return msgspec.json.encode(self._curve.get())
-
     def grasp(self, number: int) -> bytes:
         """Return JSON of the `grasp_view` of a journal row."""
         found, origin = self._success(number)
-        commands = self._records.place(self._job, self._run).commands(number)
+        commands = self._records.commands(self._job, self._run, number)
         loaded = self._scenes(origin.scene).get()
         (margin,) = recorded_margins(found, loaded.scene.object)
         return msgspec.json.encode(grasp_view(found[0], loaded.hand, loaded.shown, commands, margin))
@@ -268,7 +264,7 @@ class RunCaches:
 class JobCaches(RunCaches):
     """Caches of runs, of lists of runs and objects, and of pictures of the objects."""
 
-    def __init__(self, records: JobRecords, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, records: BusRecords, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(records, clock)
 
         def kept(
@@ -281,6 +277,7 @@ class JobCaches(RunCaches):
 
         self._listings = kept(MAX_JOBS, records.entries)
         self._entries = kept(MAX_ENTRIES, entry)
+        self._curves = kept(MAX_CURVES, records.curve)
         self._objects = kept(
             MAX_JOBS, records.objects, lambda found: 0 if found.uncounted else LISTED_SECONDS
         )
@@ -295,6 +292,10 @@ class JobCaches(RunCaches):
     def runs(self, job: str) -> bytes:
         """Return the runs of a job, finished ones too: JSON of `RunListings`."""
         return msgspec.json.encode(self._listings(job).get())
+
+    def curve(self, job: str, run: str) -> bytes:
+        """Return the growth of a run, also of one that is over: JSON of `GrowthCurve`."""
+        return msgspec.json.encode(self._curves(job, run).get())
 
     def objects(self, job: str) -> ObjectListings:
         """Return all objects of a job, with their counts."""

@@ -38,7 +38,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
-from qdgrasp_tools.monitor.records import JournalId, RecordPage, RunLocation
+from qdgrasp_tools.monitor.records import JournalId, RecordPage, row_commands
 from qdgrasp_tools.monitor.web import scene_data
 from qdgrasp_tools.monitor.web.routes import live_routes
 from qdgrasp_tools.monitor.web.run_cache import JobCaches
@@ -171,9 +171,6 @@ class FakeRun:
 
     name: str
 
-    def curve(self) -> bytes:
-        return b'{"run":"","points":[]}'
-
     def scene(self) -> bytes:
         if self.name != "mug" and not self.name.startswith("panda"):
             raise UnknownName("run", self.name, ["mug"])
@@ -208,6 +205,9 @@ class FakeLibrary:
 
     def object_runs(self, job: str, file: str) -> bytes:
         return b'{"runs":[],"next":0,"uncounted":0}'
+
+    def curve(self, job: str, run: str) -> bytes:
+        return b'{"run":"","points":[]}'
 
     def object_picture(self, job: str, run: str) -> bytes:
         raise UnknownName("run", run, ["mug"])
@@ -323,8 +323,8 @@ class HandMadeRecords:
     def curve(self, job: str, run: str) -> GrowthCurve:
         return GrowthCurve(run=run, points=[])
 
-    def place(self, job: str, run: str) -> RunLocation:
-        return RunLocation("runs/mug")
+    def commands(self, job: str, run: str, number: int) -> list[str]:
+        return row_commands("runs/mug", "", number)
 
     def settings(self, job: str, run: str) -> dict[str, str]:
         return {"method": "aimed", "seed": "7"}
