@@ -349,7 +349,8 @@ def read_hand(path: Path) -> tuple[Urdf | None, tuple[str, ...], tuple[str, ...]
     if not is_mjcf(path):
         return *read_robot(path), ()
     robot, notes = read_mjcf(path)
-    return robot, (), notes
+    faults = structure_faults(robot.element)
+    return (None if faults else robot), faults, notes
 
 
 def read_robot(urdf: Path) -> tuple[Urdf | None, tuple[str, ...]]:

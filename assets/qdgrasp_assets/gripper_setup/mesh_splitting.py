@@ -24,7 +24,6 @@ from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elem
 from qdgrasp_assets.grippers.urdf import Urdf, add_file, parse_origin
 from qdgrasp_assets.grippers.urdf_checks import LARGEST_SHAPE, SIMULATOR_FORMATS
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.text import counted
 
 MUCH_FILLED = 0.1  # A link is hollow where its hull fills the room in front of this share of its surface
 VOLUME_TOLERANCE = 0.001  # Volumes that differ by at most this share are taken as equal
@@ -108,27 +107,6 @@ class MeshSplitter:
             mesh.set("filename", file)
             if words:
                 yield f"the mesh '{key[0]}' of the link '{link}' {words}"
-
-    def copy_visuals(self) -> Iterator[str]:
-        """Copy the meshes of visual shapes as they are, for pictures; yields those left out."""
-        missing = 0
-        for link in self._hand.element.findall("link"):
-            for visual in link.findall("visual"):
-                mesh = visual.find("geometry/mesh")
-                if mesh is None:
-                    continue
-                name = mesh.get("filename", "")
-                try:
-                    content = mesh_bytes(self._hand, name)
-                except AssetError:
-                    link.remove(visual)
-                    missing += 1
-                    continue
-                path = PurePosixPath(name)
-                stem = f"{self._folder}/{path.stem}_visual"
-                mesh.set("filename", add_file(self.files, stem, path.suffix, content))
-        if missing:
-            yield f"{counted(missing, 'visual shape')} left out, of which the meshes are missing"
 
     def corners(self, hand: Urdf, link: str) -> tuple[Floats, ...]:
         """Return the corners (v, 3) of the repaired link's convex parts [m], link frame."""

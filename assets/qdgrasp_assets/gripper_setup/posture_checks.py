@@ -177,7 +177,7 @@ SLOW = 1.05  # A joint is too slow if it needs more than this multiple of the cl
 
 def posture_notes(hand: HandPostures) -> tuple[str, ...]:
     """Return the notes on a gripper's file."""
-    return (*_approach_notes(hand), *_jaw_notes(hand), *_closing_notes(hand), *_rating_notes(hand))
+    return (*_approach_notes(hand), *_jaw_notes(hand), *_closing_notes(hand))
 
 
 def _approach_notes(hand: HandPostures) -> Iterator[str]:
@@ -255,52 +255,6 @@ def _closing_notes(hand: HandPostures) -> Iterator[str]:
     pairs = [(one, other) for one, other, _ in deep_pairs(hand, 0.0) if is_always_deep(hand, one, other)]
     if linked := ", ".join(f"'{one}' and '{other}'" for one, other in pairs):
         yield f"in each other in every posture, as links of one linkage are: {linked}"
-
-
-STRONGEST_FINGER = 300.0
-"""Force at a fingertip above which an effort cannot be true [N]; Robotiq's 2F-85 grips with 235 N."""
-FASTEST_FINGER = 3.0
-"""Speed of a fingertip above which a velocity cannot be true [m/s].
-
-The tendons of the pneumatic Adroit hand move a finger of 0.1 m from limit to limit in 70 ms, 2.2 m/s.
-"""
-
-
-def _rating_notes(hand: HandPostures) -> Iterator[str]:
-    arms = {name: arm for name in hand.file.joints if (arm := fingertip_arm(hand, name))}
-    efforts = {name: hand.file.joints[name].rated_effort or 0.0 for name in arms}
-    velocities = {name: hand.file.joints[name].rated_velocity or 0.0 for name in arms}
-    forces = {name: effort / arms[name] for name, effort in efforts.items()}
-    speeds = {name: velocity * arms[name] for name, velocity in velocities.items()}
-    yield from _impossible("rated_effort", "press with {:.0f} N", forces, STRONGEST_FINGER)
-    yield from _impossible("rated_velocity", "move at {:.3g} m/s", speeds, FASTEST_FINGER)
-
-
-def _impossible(rating: str, would: str, values: dict[str, float], most: float) -> Iterator[str]:
-    """Yield a sentence if a fingertip's value, by joint, is above the greatest known."""
-    if beyond := [name for name, value in values.items() if value > most]:
-        name = max(beyond, key=values.__getitem__)
-        more = f" (and {counted(len(beyond) - 1, 'other joint')})" if len(beyond) > 1 else ""
-        yield (
-            f"the {rating} of {name}{more} cannot be true: the end of its finger would "
-            f"{would.format(values[name])}, and no hand's does above {most:g}; take it from the data sheet"
-        )
-
-
-def fingertip_arm(hand: HandPostures, name: str) -> float:
-    """Return the largest distance from a joint's axis of the shapes it turns, hand open [m].
-
-    An effort over it is a force at the fingertip, a velocity times it a speed. It is 1 for a prismatic joint,
-    and 0 where no shape is moved.
-    """
-    body, posture = hand.body, hand.posture(0.0)
-    joint = body.joint(name)
-    frame = body.robot.forward(posture)[joint.child]
-    corners = body.corners(body.robot.subtree(joint.child).links, posture)
-    if not len(corners) or joint.kind == "prismatic":
-        return float(len(corners) > 0)
-    turned = np.cross(corners - frame[:3, 3], frame[:3, :3] @ joint.axis)
-    return float(np.linalg.norm(turned, axis=1).max())
 
 
 TOUCHING = 3e-3

@@ -10,13 +10,10 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
-from tempfile import TemporaryDirectory
-from typing import NoReturn
+from pathlib import Path
 
 import numpy as np
 
-from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.collision_parts import Tell
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import grasp_inference
@@ -24,7 +21,7 @@ from qdgrasp_assets.gripper_setup.draft import CENTRE, DraftOverrides, draft_axi
 from qdgrasp_assets.gripper_setup.mesh_splitting import MeshSplitter
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
 from qdgrasp_assets.grippers.hand_model import contradicted_limits, read_hand_model
-from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf
+from qdgrasp_assets.grippers.urdf import Urdf, drop_visuals, parse_robot, read_urdf
 from qdgrasp_assets.grippers.urdf_checks import edges, listed, unweighed
 from qdgrasp_protocol.errors import AssetError
 
@@ -88,7 +85,7 @@ def repair(robot: Urdf, base: str, folder: str, tell: Tell) -> RepairedHand:
     hand = replace(robot, element=robot.subtree(base).element)
     splitter = MeshSplitter(hand, folder, tell)
     changes = [*_joints(hand.path, hand.element), *_shapes(hand.element), *splitter.repair()]
-    changes += splitter.copy_visuals()
+    drop_visuals(hand.element)
     changes += weigh(parse_robot(hand.path, hand.element), splitter)
     return hand.element, splitter.files, tuple(changes)
 
@@ -196,10 +193,7 @@ def centre_base(robot: Urdf, base: str, overrides: DraftOverrides) -> RepairedCo
     return RepairedCopy(parse_robot(robot.path, element), name, (change,))
 
 
-HEAD = (
-    "<!-- A repaired copy, written by `qdgrasp gripper new`, which writes it again where it is told to. -->\n"
-)
-"""First line of each copy; a file without it is the user's own."""
+HEAD = "<!-- A copy written by `qdgrasp gripper new`, which writes it again where it is told to. -->\n"
 
 
 def repaired_urdf(toml: Path) -> Path:
@@ -210,19 +204,6 @@ def repaired_urdf(toml: Path) -> Path:
 def repaired_meshes(toml: Path) -> Path:
     """Return the path of the folder of the repaired URDF's meshes."""
     return toml.with_name(f"{toml.stem}_meshes")
-
-
-def check_replaceable(robot: Urdf, toml: Path) -> None:
-    """Check that a copy replaces only an older one that `robot` does not use; else `AssetError`."""
-    urdf, folder = repaired_urdf(toml), repaired_meshes(toml)
-    if urdf.exists() and (path_problem(urdf) or not _is_copy(urdf)):
-        _refuse(urdf, "was not written by --repair")
-    if folder.exists() and not _holds_copies(folder, urdf):
-        _refuse(folder, "holds what was not written by --repair")
-    if urdf.exists() and urdf.samefile(robot.path):
-        _refuse(urdf, "is the URDF itself")
-    if folder.exists() and any(_is_in(folder, robot, name) for name in _mesh_names(robot.element)):
-        _refuse(folder, f"holds the meshes of '{robot.path}'")
 
 
 @contextmanager
@@ -238,99 +219,60 @@ def repaired_copy(
 ) -> Iterator[RepairedCopy]:
     """Write a repaired copy of the hand from link `base` on, beside the gripper's file `toml`.
 
-    With `as_it_is` nothing is repaired: a hand whose file is no URDF becomes one.
-
-    It replaces an older copy at once. Where the with-block fails, the older files are restored.
-    `tell` is called before each slow step. With `may_centre` another base link is put before `base` where the
-    fingers close beside its line of approach, with the `overrides` that the draft of its file will have.
-    Raises `AssetError` if a mesh is missing or cannot be read, CoACD failed, or the copy cannot be written;
-    or another file is in its place; and the errors of `draft_gripper`.
+    With `as_it_is` nothing is repaired: a hand whose file is no URDF becomes one. An older copy is replaced.
+    Where the with-block fails, what was written is removed. `tell` is called before each slow step. With
+    `may_centre` another base link is put before `base` where the fingers close beside its line of approach,
+    with the `overrides` that the draft of its file will have. Raises `AssetError` if a mesh is missing or
+    cannot be read, CoACD failed, or the copy cannot be written or would replace the hand's own files; and the
+    errors of `draft_gripper`.
     """
-    check_replaceable(robot, toml)
-    urdf, names = repaired_urdf(toml), (repaired_urdf(toml).name, repaired_meshes(toml).name)
-    with _writing(urdf):
-        folder = TemporaryDirectory(prefix=f".{toml.stem}.", dir=toml.parent)
-    with folder as temporary:
-        new, old, failed = (Path(temporary) / name for name in ("new", "old", "failed"))
-        for each in (new, old, failed):
-            each.mkdir()
-        with _writing(urdf):
-            copied = transcribe(robot, base, names[1]) if as_it_is else repair(robot, base, names[1], tell)
-            origin = robot.path.name
-            copy = _write_copy(copied, base, new / urdf.name, origin)
-            centred = centre_base(copy.robot, base, overrides or DraftOverrides()) if may_centre else None
-            if centred is not None:
-                _write_urdf(centred.robot.element, new / urdf.name, origin)
-                copy = replace(centred, changes=(*copy.changes, *centred.changes))
-        try:
-            with _writing(urdf):
-                _move_files(names, toml.parent, old)
-                _move_files(names, new, toml.parent)
-            yield replace(copy, robot=read_urdf(urdf))
-        except BaseException:
-            _move_files(names, toml.parent, failed)
-            _move_files(names, old, toml.parent)
-            raise
+    urdf, folder = repaired_urdf(toml), repaired_meshes(toml)
+    _check_sources(robot, urdf, folder)
+    folder_name = folder.name
+    element, meshes, changes = (
+        transcribe(robot, base, folder_name) if as_it_is else repair(robot, base, folder_name, tell)
+    )
+    written = [urdf, *(urdf.parent / name for name in meshes)]
+    try:
+        for path, content in zip(written[1:], meshes.values(), strict=True):
+            _write(path, content)
+        _write(urdf, _urdf_text(element, robot.path.name))
+        copy = RepairedCopy(read_urdf(urdf), base, changes)
+        centred = centre_base(copy.robot, base, overrides or DraftOverrides()) if may_centre else None
+        if centred is not None:
+            _write(urdf, _urdf_text(centred.robot.element, robot.path.name))
+            copy = RepairedCopy(read_urdf(urdf), centred.base, (*changes, *centred.changes))
+        yield copy
+    except BaseException:
+        for path in written:
+            path.unlink(missing_ok=True)
+        with suppress(OSError):  # not empty, or not there
+            folder.rmdir()
+        raise
 
 
-def _write_copy(repaired: RepairedHand, base: str, urdf: Path, origin: str) -> RepairedCopy:
-    """Write the copy of file `origin`: its URDF to `urdf`, its meshes to their paths from there."""
-    element, meshes, changes = repaired
-    for name, content in meshes.items():
-        (urdf.parent / name).parent.mkdir(parents=True, exist_ok=True)
-        (urdf.parent / name).write_bytes(content)
-    _write_urdf(element, urdf, origin)
-    return RepairedCopy(read_urdf(urdf), base, changes)
+def _check_sources(robot: Urdf, urdf: Path, folder: Path) -> None:
+    """Raise AssetError if a copy would replace the URDF or meshes that it is made of."""
+    names = (mesh.get("filename", "").removeprefix("file://") for mesh in robot.element.iter("mesh"))
+    sources = {robot.path.resolve(), *((robot.path.parent / name).resolve() for name in names)}
+    if any(path == urdf.resolve() or path.parent == folder.resolve() for path in sources):
+        raise AssetError(
+            f"The copy of '{robot.path}' would replace the files that it is made of: name another path with "
+            "--out, beside which it is written."
+        )
 
 
-def _write_urdf(element: ET.Element, path: Path, origin: str) -> None:
+def _urdf_text(element: ET.Element, origin: str) -> bytes:
     ET.indent(element)
     source = f"<!-- It was made from '{origin.replace('--', '- -')}'. -->\n"  # a comment holds no two hyphens
-    path.write_text(HEAD + source + ET.tostring(element, encoding="unicode") + "\n", encoding="utf-8")
+    return (HEAD + source + ET.tostring(element, encoding="unicode") + "\n").encode()
 
 
-def _move_files(names: tuple[str, ...], source: Path, target: Path) -> None:
-    for name in names:
-        if (source / name).exists():
-            (source / name).rename(target / name)
-
-
-@contextmanager
-def _writing(urdf: Path) -> Iterator[None]:
+def _write(path: Path, content: bytes) -> None:
     try:
-        yield
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
     except OSError as error:
         raise AssetError(
-            f"The repaired hand cannot be written to '{urdf}': {error.strerror or error}."
+            f"The repaired hand cannot be written to '{path}': {error.strerror or error}."
         ) from None
-
-
-def _is_copy(urdf: Path) -> bool:
-    with urdf.open("rb") as file:
-        return file.read(len(HEAD.encode())) == HEAD.encode()
-
-
-def _holds_copies(folder: Path, urdf: Path) -> bool:
-    """Return whether a folder holds nothing but meshes of the copy at `urdf`."""
-    if folder.is_symlink() or not folder.is_dir():
-        return False
-    names = set(_mesh_names(read_urdf(urdf).element)) if urdf.is_file() else set()
-    return all(each.is_file() and f"{folder.name}/{each.name}" in names for each in folder.iterdir())
-
-
-def _mesh_names(element: ET.Element) -> Iterator[str]:
-    return (mesh.get("filename", "") for mesh in element.iter("mesh"))
-
-
-def _is_in(folder: Path, robot: Urdf, name: str) -> bool:
-    """Return whether a URDF's mesh lies in a folder; a `package://` path by the folder's name."""
-    if name.startswith("package://"):
-        return folder.name in PurePosixPath(name).parts
-    return (robot.path.parent / name.removeprefix("file://")).resolve().is_relative_to(folder.resolve())
-
-
-def _refuse(path: Path, why: str) -> NoReturn:
-    raise AssetError(
-        f"'{path}' {why}, and is not replaced, not even with --force: name another path with --out, beside "
-        "which the repaired copy is written."
-    )

@@ -293,16 +293,6 @@ def add_file(files: dict[str, bytes], stem: str, suffix: str, content: bytes) ->
 
 
 MOST_LINKS = 1000  # Links of a robot
-FARTHEST = 1000.0  # Greatest length in a file [m], and factor of a mesh
-LENGTHS = {
-    "origin": ("xyz", "rpy"),
-    "box": ("size",),
-    "sphere": ("radius",),
-    "cylinder": ("radius", "length"),
-    "capsule": ("radius", "length"),
-    "mesh": ("scale",),
-}
-"""Attributes that hold lengths or angles, by the tag of their element."""
 XACRO_TAG = re.compile(r"\{http[^}]*xacro\}|xacro:")  # Tags that only a xacro file has
 XACRO_SUBSTITUTION = re.compile(r"\$[({]")  # Beginning of an expression that xacro replaces, in attributes
 OTHER_FORMATS = {
@@ -337,30 +327,10 @@ def read_robot_element(path: Path) -> ET.Element:
     )
     if path.suffix.lower() == ".xacro" or is_xacro:
         raise AssetError(_xacro_advice(path))
-    if element.tag == "robot":
-        _check_size(path, element)
-    else:
+    if element.tag != "robot":
         unknown = f"an XML file whose root is <{element.tag}>, and a URDF's is <robot>"
         raise AssetError(f"'{path}' is no URDF but {OTHER_FORMATS.get(element.tag, unknown)}.")
     return element
-
-
-def _check_size(path: Path, robot: ET.Element) -> None:
-    """Raise `AssetError` for more links or greater lengths than a hand on its arm has."""
-    if (count := len(robot.findall("link"))) > MOST_LINKS:
-        raise AssetError(f"The URDF '{path}' has {count} links, and at most {MOST_LINKS} are read.")
-    for element in robot.iter():
-        for name in LENGTHS.get(element.tag, ()):
-            for word in element.get(name, "").split():
-                try:
-                    is_far = abs(float(word)) > FARTHEST
-                except ValueError:
-                    continue  # its reader reports it
-                if is_far:
-                    raise AssetError(
-                        f"The URDF '{path}': <{element.tag} {name}=\"{element.get(name)}\"> must "
-                        f"hold lengths in metres, of at most {FARTHEST:g}."
-                    )
 
 
 def _xacro_advice(path: Path) -> str:

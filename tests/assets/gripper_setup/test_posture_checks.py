@@ -1,8 +1,7 @@
-"""Which links may overlap, and which ratings cannot be true."""
+"""Links that may overlap."""
 
 import pytest
 
-from qdgrasp_assets.asset_report import examine
 from qdgrasp_assets.catalog import GRIPPERS, REFERENCE, find_gripper
 from qdgrasp_assets.gripper_setup.posture_checks import (
     HandPostures,
@@ -47,23 +46,3 @@ def test_links_that_overlap_nearly_wherever_they_are_may_overlap(jaw_toml, edit)
     )
     edit(urdf, "0 0.031 0.041", "0 -0.019 0.041")
     assert pairs_of(jaw_toml) == (("left", "right"),)
-
-
-@pytest.mark.parametrize(
-    ("rating", "sentence"),
-    [
-        (
-            "rated_effort = 301.0",
-            "the rated_effort of slide cannot be true: the end of its finger would press with 301 N",
-        ),
-        (
-            "rated_velocity = 3.1",
-            "the rated_velocity of slide cannot be true: the end of its finger would move",
-        ),
-    ],
-)
-def test_a_rating_that_cannot_be_true_is_noted_in_a_sentence(jaw_toml, edit, rating, sentence):
-    assert not any("cannot be true" in note for note in examine(jaw_toml, "jaw").notes)
-    edit(jaw_toml, "[joints.slide]", f"[joints.slide]\n{rating}")
-    (note,) = (note for note in examine(jaw_toml, "jaw").notes if "cannot be true" in note)
-    assert note.startswith(sentence)
