@@ -20,8 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from qdgrasp_assets.asset_paths import write_whole
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, join
-from qdgrasp_assets.geometry.primitives import cup, revolve, strip
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, cup, join, revolve, strip
 from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.urdf import read_urdf

@@ -25,9 +25,8 @@ from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes
 from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import POINTS_PER_METRE
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper
-from qdgrasp_assets.gripper_setup.mesh_splitting import hollow_meshes
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, posture_faults, posture_notes
-from qdgrasp_assets.gripper_setup.repaired_copy import with_visual_shapes
+from qdgrasp_assets.gripper_setup.repaired_copy import hollow_meshes, with_visual_shapes
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.grippers.gripper_file import GripperFile, gripper_faults, read_gripper_file, urdf_path
 from qdgrasp_assets.grippers.hand_model import guess_base, read_hand_model

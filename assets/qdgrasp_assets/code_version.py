@@ -1,6 +1,6 @@
-"""Versions of the code that checks meshes and builds shapes.
+"""Version of the code that checks meshes and builds shapes.
 
-A version is made of digests of modules and versions of packages. Nothing is imported for it, so that a
+It is made of digests of modules and versions of packages. Nothing is imported for it, so that a
 process without arrays can state the version of its machine.
 """
 
@@ -10,30 +10,19 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 
-CHECKING_MODULES = (
-    *("geometry.mesh", "geometry.mesh_io", "geometry.mesh_repair", "geometry.primitives"),
-    *("geometry.proximity", "geometry.remesh", "geometry.surface_points", "object_model", "mesh_check"),
+MODULES = (
+    *("geometry.mesh", "geometry.mesh_io", "geometry.mesh_repair", "geometry.proximity"),
+    *("geometry.surface_points", "geometry.collision_parts", "object_model", "object_shape"),
 )
-CHECKING_PACKAGES = ("embreex", "fast-simplification", "numpy", "scipy", "trimesh")
-BUILDING_MODULES = (*CHECKING_MODULES, "geometry.collision_parts", "object_shape")
-BUILDING_PACKAGES = (*CHECKING_PACKAGES, "coacd")
-
-
-def checking_code() -> str:
-    """Return the digest of the code that checks meshes, and of the versions of its packages."""
-    return _code_digest(CHECKING_MODULES, CHECKING_PACKAGES)
-
-
-def building_code() -> str:
-    """Return the digest of the code that builds shapes, and of the versions of its packages."""
-    return _code_digest(BUILDING_MODULES, BUILDING_PACKAGES)
+PACKAGES = ("coacd", "embreex", "fast-simplification", "numpy", "scipy", "trimesh")
 
 
 @cache
-def _code_digest(modules: tuple[str, ...], packages: tuple[str, ...]) -> str:
-    specs = [find_spec(f"{__package__}.{name}") for name in modules]
+def building_code() -> str:
+    """Return the digest of the code that checks meshes and builds shapes, and of its packages."""
+    specs = [find_spec(f"{__package__}.{name}") for name in MODULES]
     files = [file_digest(Path(spec.origin)) for spec in specs if spec and spec.origin]
-    return hashlib.sha256(" ".join((*files, *map(_package_version, packages))).encode()).hexdigest()
+    return hashlib.sha256(" ".join((*files, *map(_package_version, PACKAGES))).encode()).hexdigest()
 
 
 def _package_version(name: str) -> str:

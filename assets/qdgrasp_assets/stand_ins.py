@@ -27,9 +27,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from qdgrasp_assets.geometry.mesh import Floats, Mesh
-from qdgrasp_assets.geometry.primitives import (
+from qdgrasp_assets.geometry.mesh import (
     Faces,
+    Floats,
+    Mesh,
     box,
     cup,
     disc,

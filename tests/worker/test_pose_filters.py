@@ -8,8 +8,7 @@ from tests.worker.genomes import decoded, draw, evaluated, outcomes, results
 from tests.worker.test_physical_episode import ABOVE, SIDE, physical
 
 from qdgrasp_assets.genes import layout
-from qdgrasp_assets.geometry.mesh import Mesh, parts_to_obj
-from qdgrasp_assets.geometry.primitives import box
+from qdgrasp_assets.geometry.mesh import Mesh, box, parts_to_obj
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_worker.candidate_ranking import OverlapFilter

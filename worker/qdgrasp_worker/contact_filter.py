@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from qdgrasp_assets.geometry.primitives import geodesic
+from qdgrasp_assets.geometry.mesh import geodesic
 from qdgrasp_assets.geometry.rotation import Floats, running_sum
 from qdgrasp_assets.geometry.voxels import Hull, Singles, VoxelGrid
 from qdgrasp_assets.grippers.hand_geometry import (

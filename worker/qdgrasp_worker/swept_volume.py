@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.primitives import geodesic
+from qdgrasp_assets.geometry.mesh import geodesic
 from qdgrasp_assets.geometry.rotation import Floats, dot
 from qdgrasp_assets.geometry.voxels import (
     Hull,

@@ -28,10 +28,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_assets.asset_paths import cache_folder, path_problem, write_whole
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, parse_parts, parts_to_obj, read_parts
-from qdgrasp_assets.geometry.primitives import heights, hull
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, heights, hull, parse_parts, parts_to_obj, read_parts
+from qdgrasp_assets.geometry.mesh_repair import simplify_mesh
 from qdgrasp_assets.geometry.proximity import inside_count, ray_distance
-from qdgrasp_assets.geometry.remesh import simplify_mesh
 from qdgrasp_assets.geometry.surface_points import sample_surface
 from qdgrasp_assets.process_limits import end_with_parent_only
 from qdgrasp_protocol.errors import AssetError, UnreadableHere

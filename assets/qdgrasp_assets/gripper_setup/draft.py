@@ -11,15 +11,16 @@ import numpy as np
 from msgspec import UNSET, Struct, structs
 
 from qdgrasp_assets.geometry.mesh import Floats
-from qdgrasp_assets.gripper_setup import grasp_inference
+from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.closing_motion import (
     PARALLEL,
     ClosingMotion,
     closing_leaders,
+    joint_motor,
+    pinches,
     stop_at_contact,
 )
 from qdgrasp_assets.gripper_setup.closing_search import find_closing
-from qdgrasp_assets.gripper_setup.grasp_inference import joint_motor, pinches
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, overlapping_pairs
 from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable, OriginalBase
 from qdgrasp_assets.grippers.hand_model import (
@@ -102,13 +103,13 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
     axis, axis_reason = draft_axis(closing, overrides)
     offset, offset_reason = overrides.palm_offset, AS_TOLD
     if offset is None:
-        palm, is_met = grasp_inference.palm_surface(body, axis)
+        palm, is_met = closing_motion.palm_surface(body, axis)
         end = "the approach axis passes the palm by: the end of"
         offset_reason = f"{'where the approach axis leaves' if is_met else end} the palm's shapes"
         offset = round(palm, 4)
     standoff, standoff_reason = overrides.standoff, AS_TOLD
     if standoff is None:
-        far = max(grasp_inference.finger_reach(closing, axis) - offset, 0.0) if closing.fingers else 0.05
+        far = max(closing_motion.finger_reach(closing, axis) - offset, 0.0) if closing.fingers else 0.05
         standoff = (0.0, round(far, 4))
         standoff_reason = "from the palm to where the fingers reach while they close"
     links, links_reason = overrides.finger_links, AS_TOLD
@@ -216,13 +217,13 @@ def draft_axis(closing: ClosingMotion, overrides: DraftOverrides) -> tuple[Float
         return axis / np.linalg.norm(axis), AS_TOLD
     if not closing.fingers:
         return np.array([0.0, 0.0, 1.0]), "no finger tells where the hand looks: set it"
-    way, reason = grasp_inference.closing_way(closing)
-    if np.linalg.norm(way) < grasp_inference.SHORT:
+    way, reason = closing_motion.closing_way(closing)
+    if np.linalg.norm(way) < closing_motion.SHORT:
         raise AssetError(
             f"Where the hand in '{closing.body.robot.path}' looks cannot be guessed, as its fingers lie "
             "around the middle of its palm: say it with --approach-axis, such as 0,0,1."
         )
-    return grasp_inference.snap_to_axis(way), reason
+    return closing_motion.snap_to_axis(way), reason
 
 
 def _free(
@@ -236,8 +237,8 @@ def _free(
 
 
 def _jaw(closing: ClosingMotion, axis: Floats) -> tuple[Jaw | None, str]:
-    across = grasp_inference.jaw_axis(closing, axis)
-    opening = 0.0 if across is None else grasp_inference.jaw_opening(closing, axis, across)
+    across = closing_motion.jaw_axis(closing, axis)
+    opening = 0.0 if across is None else closing_motion.jaw_opening(closing, axis, across)
     if across is None or opening <= 0:
         return None, ""
     table = Jaw(axis=vector(across.round(6) + 0.0), opening=round(opening, 4))

@@ -8,14 +8,14 @@ from itertools import combinations, product
 import numpy as np
 
 from qdgrasp_assets.geometry.mesh import Floats
-from qdgrasp_assets.gripper_setup import grasp_inference
+from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.closing_motion import (
+    CLOSING_TIME,
     CROSSED,
     DEEP_OVERLAP,
     ClosingMotion,
     interpolate_posture,
 )
-from qdgrasp_assets.gripper_setup.grasp_inference import CLOSING_TIME
 from qdgrasp_assets.grippers.gripper_file import NOTHING_CLOSES, GripperFile
 from qdgrasp_assets.grippers.hand_model import ConvexSolid, HandModel, find_fingers, overlap_depth
 from qdgrasp_assets.scene import unit_vector
@@ -60,7 +60,7 @@ def posture_faults(hand: HandPostures) -> tuple[str, ...]:
     """Return the impossible postures, palm and axis of a file in words."""
     parts = hand.body.parts
     if not any(link in parts for link in hand.file.finger_links):
-        links = ", ".join(sorted(set(parts) - set(grasp_inference.palm_links(hand.body)))) or "none"
+        links = ", ".join(sorted(set(parts) - set(closing_motion.palm_links(hand.body)))) or "none"
         return (
             "no finger link has a collision shape, so that none could touch; those that move and have: "
             f"{links}",
@@ -139,13 +139,13 @@ def _closing_faults(hand: HandPostures) -> Iterator[str]:
 
 def _approach_faults(hand: HandPostures) -> Iterator[str]:
     if approach_angle(hand) > LOOKS_AWAY:
-        axis = join_numbers(grasp_inference.approach_direction(hand.closing))
+        axis = join_numbers(closing_motion.approach_direction(hand.closing))
         yield f"approach_axis points away from the fingers, which are toward [{axis}]; turn it round"
     if not hand.closing.fingers:
         return
-    reach, offset = grasp_inference.finger_reach(hand.closing, hand.axis), hand.file.palm_offset
+    reach, offset = closing_motion.finger_reach(hand.closing, hand.axis), hand.file.palm_offset
     if offset >= reach:
-        end = grasp_inference.palm_surface(hand.body, hand.axis)[0]
+        end = closing_motion.palm_surface(hand.body, hand.axis)[0]
         yield (
             f"palm_offset is {offset:g} m along the approach axis, and the fingers reach no farther than "
             f"{reach:.4g} m; the palm's shapes end at {end:.4g} m"
@@ -165,7 +165,7 @@ def approach_angle(hand: HandPostures) -> float:
     """Return the angle of the approach axis to the half closed fingertips [rad]."""
     if not hand.closing.fingers:
         return 0.0
-    return float(np.arccos(np.clip(hand.axis @ grasp_inference.approach_direction(hand.closing), -1, 1)))
+    return float(np.arccos(np.clip(hand.axis @ closing_motion.approach_direction(hand.closing), -1, 1)))
 
 
 AXIS_OFF = np.radians(35.0)  # Angle between approach axis and fingers from which it is noted [rad]
@@ -185,28 +185,28 @@ def _approach_notes(hand: HandPostures) -> Iterator[str]:
     if bare := ", ".join(link for link in file.finger_links if link not in hand.body.parts):
         yield f"finger links without a collision shape, which touch nothing: {bare}"
     if LOOKS_AWAY >= angle > AXIS_OFF:
-        axis = join_numbers(grasp_inference.approach_direction(closing))
+        axis = join_numbers(closing_motion.approach_direction(closing))
         yield f"approach_axis is {np.degrees(angle):.0f} degrees from where the fingers close, [{axis}]"
-    if closing.fingers and (aside := grasp_inference.axis_offset(closing, hand.axis)) > BESIDE:
+    if closing.fingers and (aside := closing_motion.axis_offset(closing, hand.axis)) > BESIDE:
         yield (
             f"the fingers close {1000 * aside:.0f} mm beside the line through the base link along the "
             "approach axis, which is where objects are: few grasps will be found, unless the base link is "
             "in the middle (`qdgrasp gripper new --repair` puts one there)"
         )
-    surface, is_met = grasp_inference.palm_surface(hand.body, hand.axis)
-    if grasp_inference.palm_links(hand.body) and is_met and abs(surface - file.palm_offset) > PALM_OFF:
+    surface, is_met = closing_motion.palm_surface(hand.body, hand.axis)
+    if closing_motion.palm_links(hand.body) and is_met and abs(surface - file.palm_offset) > PALM_OFF:
         yield f"palm_offset is {file.palm_offset:g} m, and the palm's shapes end at {surface:.4g} m"
     if closing.fingers:
-        far = grasp_inference.finger_reach(closing, hand.axis) - file.palm_offset
+        far = closing_motion.finger_reach(closing, hand.axis) - file.palm_offset
         if file.standoff[1] > far + STANDOFF_OFF:
             reach = f"the fingers reach {far:.4g} m beyond the palm"
             yield f"standoff goes to {file.standoff[1]:g} m, and {reach}"
 
 
 def _jaw_notes(hand: HandPostures) -> Iterator[str]:
-    across = grasp_inference.jaw_axis(hand.closing, hand.axis) if hand.closing.fingers else None
+    across = closing_motion.jaw_axis(hand.closing, hand.axis) if hand.closing.fingers else None
     jaw = hand.file.jaw
-    if across is None or (gap := grasp_inference.jaw_opening(hand.closing, hand.axis, across)) <= 0:
+    if across is None or (gap := closing_motion.jaw_opening(hand.closing, hand.axis, across)) <= 0:
         return
     axis = join_numbers(across)
     if jaw is None:

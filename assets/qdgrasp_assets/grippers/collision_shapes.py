@@ -15,8 +15,7 @@ from pathlib import PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, read_obj, stl_triangles
-from qdgrasp_assets.geometry.primitives import geodesic
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, geodesic, read_obj, stl_triangles
 from qdgrasp_assets.grippers.urdf import Urdf, parse_origin
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import AssetError

@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from qdgrasp_assets.asset_paths import path_problem
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, parts_to_obj
-from qdgrasp_assets.geometry.primitives import geodesic, hull
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, geodesic, hull, parts_to_obj
 from qdgrasp_assets.grippers.mjcf_couplings import Mechanism, command_ranges, efforts, find_couplings
 from qdgrasp_assets.grippers.urdf import MOST_LINKS, Urdf, UrdfJoint, add_file, parse_robot
 from qdgrasp_protocol.errors import AssetError

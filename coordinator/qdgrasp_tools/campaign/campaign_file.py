@@ -22,7 +22,7 @@ from qdgrasp_assets.asset_paths import named_path
 from qdgrasp_assets.catalog import ABSENT, check_object, find_gripper
 from qdgrasp_assets.genes import ANTIPODAL
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
-from qdgrasp_assets.mesh_check import check_mesh
+from qdgrasp_assets.object_model import check_mesh
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_assets.ycb import SCANS
 from qdgrasp_coordinator.scheduler.run_plan import FLIGHT_KEYS, RUN_DEFAULTS, absolute_asset, complete_spec

@@ -2,7 +2,7 @@
 
 A manifest is a table in CSV or Parquet, or a TOML file of [[object]] tables, with a row for each object. All
 that cannot be used are named at once, or left out and reported where that is asked for. Checks of a mesh are
-remembered by its content (`mesh_check`).
+remembered by its content (`check_mesh`).
 """
 
 import math
@@ -18,7 +18,7 @@ from msgspec import Struct, structs
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, scale_of
-from qdgrasp_assets.mesh_check import MeshCheck, check_mesh
+from qdgrasp_assets.object_model import MeshCheck, check_mesh
 from qdgrasp_coordinator.storage.tables import csv_text, read_csv
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes, check_packages

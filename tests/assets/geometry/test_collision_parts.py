@@ -17,8 +17,7 @@ from qdgrasp_assets.geometry.collision_parts import (
     known_parts,
     simplify_part,
 )
-from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_assets.geometry.primitives import box, geodesic, heights, hull
+from qdgrasp_assets.geometry.mesh import Mesh, box, geodesic, heights, hull
 from qdgrasp_assets.stand_ins import mug
 from qdgrasp_protocol.errors import AssetError, UnreadableHere
 

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_assets.geometry.mesh import join, parts_to_obj, read_parts, stl_triangles
-from qdgrasp_assets.geometry.primitives import box
+from qdgrasp_assets.geometry.mesh import box, join, parts_to_obj, read_parts, stl_triangles
 
 BLOCK = (0.02, 0.03, 0.05)
 

@@ -10,6 +10,7 @@ import trimesh
 from tests.assets.special_files import PLACES, make_places
 
 from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.geometry.mesh import box
 from qdgrasp_assets.geometry.mesh_io import (
     LARGEST_FILE,
     WRITABLE_FORMATS,
@@ -18,9 +19,7 @@ from qdgrasp_assets.geometry.mesh_io import (
     scale_of,
     to_bytes,
 )
-from qdgrasp_assets.geometry.primitives import box
-from qdgrasp_assets.mesh_check import check_mesh
-from qdgrasp_assets.object_model import read_draft, read_solid
+from qdgrasp_assets.object_model import check_mesh, read_draft, read_solid
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 

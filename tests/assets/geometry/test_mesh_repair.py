@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_assets.geometry.mesh import Mesh, join
+from qdgrasp_assets.geometry.mesh import Mesh, box, geodesic, join
 from qdgrasp_assets.geometry.mesh_repair import (
     body_gap,
     inverted_bodies,
@@ -12,7 +12,6 @@ from qdgrasp_assets.geometry.mesh_repair import (
     repair_mesh,
     surface_faults,
 )
-from qdgrasp_assets.geometry.primitives import box, geodesic
 
 BLOCK = (0.02, 0.03, 0.05)
 SOLID = box(BLOCK)

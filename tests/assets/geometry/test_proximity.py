@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from qdgrasp_assets.geometry.collision_parts import FingerClearance
-from qdgrasp_assets.geometry.mesh import Mesh, join
-from qdgrasp_assets.geometry.primitives import box, hull
+from qdgrasp_assets.geometry.mesh import Mesh, box, hull, join
 from qdgrasp_assets.geometry.proximity import inside_count, ray_distance
 from qdgrasp_assets.geometry.surface_points import sample_surface
 

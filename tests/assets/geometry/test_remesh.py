@@ -5,8 +5,7 @@ import pytest
 import trimesh
 
 from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_assets.geometry.mesh_repair import is_surface, surface_faults
-from qdgrasp_assets.geometry.remesh import remesh, simplify_mesh, surface_net
+from qdgrasp_assets.geometry.mesh_repair import is_surface, remesh, simplify_mesh, surface_faults, surface_net
 
 
 def made(mesh: trimesh.Trimesh, left_out: slice = slice(0)) -> Mesh:

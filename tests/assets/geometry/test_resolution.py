@@ -3,8 +3,7 @@
 import pytest
 import trimesh
 
-from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_assets.geometry.primitives import box
+from qdgrasp_assets.geometry.mesh import Mesh, box
 from qdgrasp_assets.geometry.proximity import (
     THINNEST,
     thin_share,

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from qdgrasp_assets.geometry.mesh import Mesh, parts_to_obj
-from qdgrasp_assets.geometry.primitives import box, geodesic
+from qdgrasp_assets.geometry.mesh import Mesh, box, geodesic, parts_to_obj
 from qdgrasp_assets.geometry.resting_poses import resting_poses
 from qdgrasp_protocol.errors import AssetError
 

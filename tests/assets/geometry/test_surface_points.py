@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_assets.geometry.primitives import box
+from qdgrasp_assets.geometry.mesh import box
 from qdgrasp_assets.geometry.surface_points import (
     nearest_triangle,
     paper_surface,

@@ -9,7 +9,7 @@ from tests.assets import synthetic_hands
 from tests.assets.example_hands import BOX, INERTIA, write_arch
 
 from qdgrasp_assets.asset_report import examine, hand_faults
-from qdgrasp_assets.gripper_setup import grasp_inference
+from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf
 from qdgrasp_assets.grippers.gripper_file import OriginalBase, read_gripper_file
@@ -120,7 +120,7 @@ def test_the_base_link_is_where_the_fingers_of_the_file_close(tmp_path, told):
     with repaired_copy(*arguments, may_centre=True, overrides=overrides) as copy:
         draft = draft_gripper(copy.robot, "own.urdf", replace(overrides, base_link=copy.base))
     assert copy.base == "palm_centre"
-    assert grasp_inference.axis_offset(draft.closing, np.array(draft.file.approach_axis)) < 1e-3
+    assert closing_motion.axis_offset(draft.closing, np.array(draft.file.approach_axis)) < 1e-3
 
 
 def with_mesh(jaw_urdf, edit, kind="ply"):
