@@ -70,7 +70,7 @@ def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice
             episode.world.close()  # Bullet refuses every call from here on
         return run(episode, trial)
 
-    monkeypatch.setattr(Episode, "run", run_or_fail)
+    monkeypatch.setattr(Episode, "place", run_or_fail)
     with Evaluator(cube, shortcuts=False) as evaluator:
         evaluation = evaluator.evaluate("approach", genomes, nominal(genomes))
     assert evaluation.failures == [(poison, "error: Not connected to physics server.")]

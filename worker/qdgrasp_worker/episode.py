@@ -87,14 +87,22 @@ class Episode(ABC, Generic[AnyWorld]):
 
     def run(self, trial: TrialSetup) -> EpisodeResult:
         """Evaluate one trial, from a clean start."""
+        placed = self.place(trial)
+        return placed if isinstance(placed, EpisodeResult) else self.grasp(placed.pose)
+
+    def place(self, trial: TrialSetup) -> TrialSetup | EpisodeResult:
+        """Place the open hand; return the trial with the hand where it stops, or the result if known."""
         self.contact_filter.prepare(trial.pose.synergy)
         if trial.approaches:
             trial = self._approached(trial)
-        pose = trial.pose
         if self.is_blocked(trial):
-            return EpisodeResult(Outcome.OVERLAP, pose.joints)
-        if self.contact_filter.misses(pose):
-            return EpisodeResult(Outcome.MISSED, pose.joints)
+            return EpisodeResult(Outcome.OVERLAP, trial.pose.joints)
+        if self.contact_filter.misses(trial.pose):
+            return EpisodeResult(Outcome.MISSED, trial.pose.joints)
+        return trial
+
+    def grasp(self, pose: HandPose) -> EpisodeResult:
+        """Close the hand, which was placed at `pose`, and disturb the grasp."""
         touched = self._close(pose)
         fingers = self._touching_fingers()
         if not fingers:

@@ -173,35 +173,45 @@ class Evaluator(BatchEvaluator):
 
     def _find(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> GenomeResult | str:
         """Return the result of a genome, or the reason of a failure, after which its worlds are new."""
-        if not shortlist.poses:
-            return GenomeResult(
-                shortlist.first, EpisodeResult(Outcome.DEAD_END, grasps[shortlist.first].joints), 1
-            )
         try:
-            place, verdict = self._try(grasps, shortlist, trial)
+            place, found = self._choose(grasps, shortlist, trial)
+            verdict = found if isinstance(found, EpisodeResult) else self._episode.grasp(found.pose)
+            if len(self._worlds) > 1:
+                setup = self._protocol.trial(grasps[place], trial)
+                verdict = verdict_in_all(
+                    verdict, self._worlds[1:], self._protocol, setup, stops_early=self._shortcuts
+                )
         except Exception as error:  # noqa: BLE001  # any failure is this row's result and no other's
             self.close()
             self._worlds = self._make_worlds()
             return f"{type(error).__name__}: {error}"
-        return GenomeResult(place, verdict, shortlist.poses)
+        return GenomeResult(place, verdict, max(1, shortlist.poses))
 
-    def _try(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> tuple[int, EpisodeResult]:
-        """Simulate candidates in order until one does not overlap; return its pose and result.
+    @property
+    def _episode(self) -> ShakenEpisode | PhysicalEpisode:
+        """Episodes in the first engine."""
+        return make_episode(
+            self._worlds[0], self._protocol, self._contact_filter, stops_early=self._shortcuts
+        )
+
+    def _choose(
+        self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int
+    ) -> tuple[int, TrialSetup | EpisodeResult]:
+        """Place candidates in order until one does not overlap; return its pose, and how it is placed.
 
         It is chosen by trial 0 in the first engine, so that all trials of a genome disturb the same pose.
+        Its result is returned instead if it needs no closing.
         """
-        world, *others = self._worlds
-        episode = make_episode(world, self._protocol, self._contact_filter, stops_early=self._shortcuts)
+        if not shortlist.poses:
+            return shortlist.first, EpisodeResult(Outcome.DEAD_END, grasps[shortlist.first].joints)
+        episode = self._episode
         for place in shortlist.ranked:
             pose = grasps[place]
             if trial and shortlist.is_choice and episode.is_blocked(self._protocol.trial(pose, 0)):
                 continue
-            setup = self._protocol.trial(pose, trial)
-            verdict = episode.run(setup)
-            if trial or verdict.outcome is not Outcome.OVERLAP:
-                return place, verdict_in_all(
-                    verdict, others, self._protocol, setup, stops_early=self._shortcuts
-                )
+            found = episode.place(self._protocol.trial(pose, trial))
+            if trial or isinstance(found, TrialSetup) or found.outcome is not Outcome.OVERLAP:
+                return place, found
         return shortlist.first, EpisodeResult(shortlist.fallback, grasps[shortlist.first].joints)
 
 

@@ -23,15 +23,12 @@ class LoopedWorlds(BatchWorlds):
         self, simulation: Simulation, buffers: BufferSizes, failing=lambda friction: False, garbage=False
     ) -> None:
         self._simulation, self._failing, self._garbage = simulation, failing, garbage
-        self.moved = 0
-        """Worlds that were moved on, each time counted again."""
 
     def advance(self, states: States, steps: int) -> StepResult:
         found = [
             self._advance({name: values[i] for name, values in states.items()}, steps)
             for i in range(len(states["qpos"]))
         ]
-        self.moved += bool(steps) * len(found)
         contacts = [(i, *contact) for i, (_, each, _, _) in enumerate(found) for contact in each]
         worlds, links, distances, points, normals, forces = (
             zip(*contacts, strict=True) if contacts else [()] * 6
@@ -59,10 +56,7 @@ class LoopedWorlds(BatchWorlds):
         for name in (*MOVING, "ctrl", "eq_active", "mocap_pos", "mocap_quat"):
             getattr(data, name)[:] = state[name]
         data.xfrc_applied[simulation.object, :3] = state["force"]
-        if steps:
-            simulation.step(steps)
-        else:
-            simulation.detect()
+        simulation.step(steps)
         contacts = [
             (link, distance, *simulation.force(number))
             for number, link, distance in simulation.hand_contacts()

@@ -12,7 +12,7 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_worker.engines.lockstep_evaluator import LockstepEvaluator
+from qdgrasp_worker.engines.lockstep import LockstepEvaluator
 from qdgrasp_worker.evaluator import Evaluator, make_evaluator
 
 JOINTS, WORLDS, LOOKS = 3, 4, 5

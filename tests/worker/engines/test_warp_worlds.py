@@ -10,8 +10,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import Device, RunSpec
-from qdgrasp_worker.engines.lockstep import BufferSizes
-from qdgrasp_worker.engines.lockstep_evaluator import LockstepEvaluator
+from qdgrasp_worker.engines.lockstep import BufferSizes, LockstepEvaluator
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.platform import PROBES, DeviceDiffers, platform, probes
 

@@ -3,22 +3,37 @@
 `PhysicalEpisode` simulates one pose after the other; here each phase is carried out for all poses of a batch,
 and `BatchWorlds` steps the worlds that are still in it. The states of all worlds are arrays here, so that a
 world that has ended costs no more steps, and no result depends on other worlds.
+
+Decoding, screening, the choice among candidates and the placing of the open hand are those of `Evaluator`, in
+MuJoCo. Rows whose worlds overflowed their buffers, or whose numbers are not finite, are evaluated there, too.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, multiply, rotate, unit
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.candidate_ranking import Shortlist
+from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.engines.mujoco_simulation import FREE_DOFS, Simulation
 from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld
 from qdgrasp_worker.episode import EpisodeResult, outcome_of, settled_pose
 from qdgrasp_worker.evaluation_protocols import TrialSetup
-from qdgrasp_worker.physical_episode import PUSHES, REST_SPEED, REST_SPIN, RESTING_LOOKS, FingerDrive
+from qdgrasp_worker.evaluator import Evaluator, GenomeResult
+from qdgrasp_worker.physical_episode import (
+    PUSHES,
+    REST_SPEED,
+    REST_SPIN,
+    RESTING_LOOKS,
+    FingerDrive,
+    PhysicalEpisode,
+)
 from qdgrasp_worker.world import GraspContact
 
 Rows: TypeAlias = NDArray[np.intp]
@@ -81,7 +96,7 @@ class BatchWorlds(ABC):
 
     @abstractmethod
     def advance(self, states: States, steps: int) -> StepResult:
-        """Step n worlds `steps` times; 0: find the contacts at the present poses."""
+        """Step n worlds `steps` times."""
 
 
 class FingerControls:
@@ -146,14 +161,6 @@ class LockstepEpisodes:
         self._turns = conjugate(unit(np.array([pose.quaternion for pose in poses])))
         self._places = rotate(self._turns, -np.array([pose.position for pose in poses]))
         self._friction = np.array([world.friction(setup) for setup in setups])
-
-    def overlaps(self) -> NDArray[np.bool_]:
-        """Return in which worlds (n,) a link of the open hand is inside the object."""
-        moved = self._free.advance(self._start(self._world.free), 0)
-        self.is_trusted &= ~moved.failed
-        inside = np.zeros(len(self._setups), dtype=bool)
-        inside[moved.contacts.worlds[moved.contacts.distances < 0.0]] = True
-        return inside
 
     def run(self) -> list[EpisodeResult]:
         """Close, release, read the grasp and push; results of untrusted worlds are invalid."""
@@ -338,3 +345,63 @@ def displacement(before: tuple[Floats, Floats], after: tuple[Floats, Floats]) ->
     offsets, turn = after[0] - before[0], multiply(conjugate(before[1]), after[1])
     half = np.arctan2(np.sqrt(dot(turn, turn)), np.abs(turn[:, 3]))
     return np.sqrt(dot(offsets, offsets)), np.asarray(2.0 * half)
+
+
+LEAST_BUFFERS, BUFFER_FACTOR = BufferSizes(32, 64), 2  # Least use, and factor from use to size
+BUFFER_POSES, BUFFER_PRIOR = 128, "contact"  # Poses that are simulated to measure the use
+
+
+def next_power(number: int) -> int:
+    """The least power of two that is not below a number."""
+    return 1 << (number - 1).bit_length()
+
+
+class LockstepEvaluator(Evaluator):
+    """Evaluates batches in worlds that `make_worlds` makes of a scene's models."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        make_worlds: Callable[[Simulation, BufferSizes], BatchWorlds],
+        *,
+        shortcuts: bool = True,
+    ) -> None:
+        super().__init__(scene, shortcuts=shortcuts)
+        self._mujoco = cast(MujocoPhysicalWorld, self._worlds[0])
+        buffers = self._measured_buffers()
+        models = self._mujoco.fixed, self._mujoco.free
+        self._fixed, self._free = (make_worlds(model, buffers) for model in models)
+        self.redone = 0
+        """Rows that were evaluated again, one by one."""
+
+    def _measured_buffers(self) -> BufferSizes:
+        """Twice what poses use in MuJoCo, as powers of two; the same for the same scene."""
+        genes = len(layout(self.scene, BUFFER_PRIOR))
+        genomes = np.random.default_rng(0).uniform(-1.0, 1.0, (BUFFER_POSES, genes)).astype(np.float32)
+        grasps = self._decoder(BUFFER_PRIOR)(genomes)
+        episode = PhysicalEpisode(self._mujoco, self._protocol)
+        most = LEAST_BUFFERS
+        for i in np.flatnonzero(~grasps.dead_ends & grasps.are_finite).tolist():
+            if episode.run(TrialSetup(grasps[i])).outcome is not Outcome.OVERLAP:
+                used = self._mujoco.fixed.buffers_used, self._mujoco.free.buffers_used
+                most = BufferSizes(*map(max, most, *used))
+        return BufferSizes(*(next_power(BUFFER_FACTOR * number) for number in most))
+
+    def _find_all(
+        self, grasps: DecodedGrasps, shortlists: list[Shortlist], trials: list[int], rows: list[int]
+    ) -> dict[int, GenomeResult | str]:
+        """Return the results of these rows of a batch, or the reasons of failures."""
+        chosen = {row: self._choose(grasps, shortlists[row], trials[row]) for row in rows}
+        setups = {row: found for row, (_, found) in chosen.items() if isinstance(found, TrialSetup)}
+        results = {row: found for row, (_, found) in chosen.items() if isinstance(found, EpisodeResult)}
+        if setups:
+            episodes = LockstepEpisodes(self._mujoco, self._fixed, self._free, [*setups.values()])
+            simulated = zip(setups, episodes.run(), episodes.is_trusted, strict=True)
+            results |= {row: result for row, result, is_trusted in simulated if is_trusted}
+        self.redone += len(rows) - len(results)
+        return {
+            row: GenomeResult(chosen[row][0], results[row], max(1, shortlists[row].poses))
+            if row in results
+            else self._find(grasps, shortlists[row], trials[row])
+            for row in rows
+        }

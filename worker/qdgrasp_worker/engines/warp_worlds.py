@@ -24,11 +24,12 @@ from qdgrasp_worker.engines.lockstep import (
     MOVING,
     BatchWorlds,
     BufferSizes,
+    LockstepEvaluator,
     States,
     StepResult,
     WorldContacts,
+    next_power,
 )
-from qdgrasp_worker.engines.lockstep_evaluator import LockstepEvaluator, next_power
 from qdgrasp_worker.engines.mujoco_simulation import FREE_DOFS, Simulation
 from qdgrasp_worker.world import NEAR
 
@@ -80,11 +81,8 @@ class WorldBatch:
         self.data.overflow.zero_()
 
     def move(self, steps: int) -> None:
-        """Simulate `steps` steps; 0: find the contacts at the present poses."""
-        if not steps:
-            mujoco_warp.fwd_kinematics(self.model, self.data)
-            mujoco_warp.collision(self.model, self.data)
-        elif not warp.get_device().is_cuda:
+        """Simulate `steps` steps."""
+        if not warp.get_device().is_cuda:
             self._step(steps)
         else:
             if steps not in self._graphs:
@@ -157,7 +155,7 @@ class WarpWorlds(BatchWorlds):
         self._sized: dict[int, WorldBatch] = {}
 
     def advance(self, states: States, steps: int) -> StepResult:
-        """Step n worlds `steps` times; 0: find the contacts at the present poses."""
+        """Step n worlds `steps` times."""
         n = len(states["qpos"])
         size = next_power(n)
         try:
