@@ -19,7 +19,6 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Control, Failure, Joined, Result, Work, deflated
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, pack, unpack
-from qdgrasp_worker.runtime.background_tasks import SceneStore
 from qdgrasp_worker.runtime.service import Inbox, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import SimulatorSettings
 from qdgrasp_worker.runtime.simulator_supervisor import SimulatorClient, SimulatorSupervisor
@@ -130,6 +129,6 @@ class RunningWorker(ServiceThread):
 
     def _work(self) -> None:
         simulator = SimulatorSupervisor(self._start_simulator, row_seconds=PATIENCE, memory=900_000_000)
-        place = {"store": SceneStore(None), "job": self._job, "grace": self._grace}
+        place = {"job": self._job, "grace": self._grace}
         with simulator, self.bus:
             WorkerService(self.bus, self._stop, simulator, self._inbox, **place).run()

@@ -31,7 +31,6 @@ from qdgrasp_worker.runtime.background_tasks import (
     BuildEnded,
     JoinAnswered,
     SceneAnswered,
-    SceneStore,
 )
 from qdgrasp_worker.runtime.job_registry import JobSession
 from qdgrasp_worker.runtime.service import StopRequested, WorkerService
@@ -367,7 +366,7 @@ class Worker(Process):
             patch.object(serving, "BuilderClient", lambda *_: SimulatedBuilder(self, self._failures)),
             patch.object(serving, "worker_id", lambda _: self.wid),
         ):
-            how = {"store": SceneStore(None), "job": JOB, "grace": GRACE, "builds": self._builds}
+            how = {"job": JOB, "grace": GRACE, "builds": self._builds}
             return WorkerService(self.bus, self._stop, self.supervisor, SimpleQueue(), **how)
 
 

@@ -63,14 +63,14 @@ def test_a_stored_pose_evaluated_as_given_finds_the_same(cube, rows):
 def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice(
     cube, genomes, rows, poison, monkeypatch
 ):
-    run, poisoned = Episode.run, rows["descriptor"][poison].tolist()
+    place, poisoned = Episode.place, rows["descriptor"][poison].tolist()
 
-    def run_or_fail(episode, trial):
+    def place_or_fail(episode, trial):
         if trial.pose.position == poisoned:
             episode.world.close()  # Bullet refuses every call from here on
-        return run(episode, trial)
+        return place(episode, trial)
 
-    monkeypatch.setattr(Episode, "place", run_or_fail)
+    monkeypatch.setattr(Episode, "place", place_or_fail)
     with Evaluator(cube, shortcuts=False) as evaluator:
         evaluation = evaluator.evaluate("approach", genomes, nominal(genomes))
     assert evaluation.failures == [(poison, "error: Not connected to physics server.")]

@@ -3,7 +3,6 @@
 import json
 import os
 from contextlib import suppress
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import monotonic
 from typing import Annotated, Any
@@ -12,7 +11,6 @@ import structlog
 import typer
 from setproctitle import setproctitle
 
-from qdgrasp_assets.asset_paths import cache_folder
 from qdgrasp_assets.code_version import building_code
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo, run_command
@@ -47,7 +45,6 @@ def worker(
     security: cli_support.SecurityOption = None,
     job: Annotated[str | None, typer.Option(help="Serve this job only; default: every job there is.")] = None,
     workers: Annotated[int, typer.Option(min=1, help="How many workers, on one core each.")] = 1,
-    cache: Annotated[Path | None, typer.Option(help="Where scenes are kept between runs.")] = None,
     wait: cli_support.WaitOption = 30.0,
     grace: Annotated[
         float, typer.Option(min=0, help="Seconds that the batch in work may still take after SIGTERM.")
@@ -134,10 +131,8 @@ def worker(
         row_seconds = row_seconds or (DEVICE_SECONDS if found else ROW_SECONDS)
         with SimulatorSupervisor.open(inbox.put, row_seconds, memory * MEGABYTE, nice, command) as simulator:
             from qdgrasp_protocol.zenoh_bus import ZenohBus  # the first simulator starts meanwhile
-            from qdgrasp_worker.runtime.background_tasks import SceneStore
             from qdgrasp_worker.runtime.service import WorkerService
 
-            store = SceneStore(cache or cache_folder() / "scenes")
             with ZenohBus.connect(connect, wait, stop, credentials) as bus:
                 rows = found.worlds if found else 0
                 WorkerService(
@@ -145,7 +140,6 @@ def worker(
                     stop,
                     simulator,
                     inbox,
-                    store=store,
                     job=job,
                     grace=grace,
                     rows=rows,

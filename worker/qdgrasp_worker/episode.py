@@ -91,7 +91,7 @@ class Episode(ABC, Generic[AnyWorld]):
         return placed if isinstance(placed, EpisodeResult) else self.grasp(placed.pose)
 
     def place(self, trial: TrialSetup) -> TrialSetup | EpisodeResult:
-        """Place the open hand; return the trial with the hand where it stops, or the result if known."""
+        """Place the open hand; return the trial as the hand stops, or the result if known."""
         self.contact_filter.prepare(trial.pose.synergy)
         if trial.approaches:
             trial = self._approached(trial)

@@ -197,7 +197,7 @@ class Evaluator(BatchEvaluator):
     def _choose(
         self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int
     ) -> tuple[int, TrialSetup | EpisodeResult]:
-        """Place candidates in order until one does not overlap; return its pose, and how it is placed.
+        """Place candidates until one does not overlap; return its pose, and how it is placed.
 
         It is chosen by trial 0 in the first engine, so that all trials of a genome disturb the same pose.
         Its result is returned instead if it needs no closing.

@@ -1,22 +1,18 @@
 """Background tasks of a worker: asking to join, fetching scenes, building shapes.
 
-Each task runs in a thread of its own, so that nothing waits for it; its end is reported from there. Scenes
-are fetched by digest, checked, and kept on disk. The shape of an object is built in a process of its own
+Each task runs in a thread of its own, so that nothing waits for it; its end is reported from there. The shape
+of an object is built in a process of its own
 (`qdgrasp_assets.shape_builder`), from files that come over the bus: it looks into the store of this machine
 first, has limits of its own, and may crash.
 """
 
-import hashlib
-import os
 import resource
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -25,60 +21,17 @@ from typing import TypeVar
 import msgspec
 import structlog
 
-from qdgrasp_assets.asset_paths import remove_unfinished, write_whole
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import MOST_PIECES, Build, Built, split_payload
 from qdgrasp_protocol.bus import Bus, TooLarge, fetch_bundle
-from qdgrasp_protocol.errors import BusError, MessageError, NoReply, QdgraspError
-from qdgrasp_protocol.keys import DIGEST, Keys
+from qdgrasp_protocol.errors import NoReply, QdgraspError
+from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import MAX_REASON, Join, Joined, shorten
 
 log = structlog.get_logger()
 
-MAX_STORE_SIZE = 2 << 30  # Size of all scenes on disk [bytes], at most
 JOIN_SECONDS = 2.0  # Seconds to wait for the answer to a join
 T = TypeVar("T")
-
-
-class SceneStore:
-    """Scene bundles by digest in a folder that other processes use too; None: they are not kept."""
-
-    def __init__(self, folder: Path | None) -> None:
-        self._folder = folder
-
-    def bundle(self, bus: Bus, job: str, digest: str) -> bytes:
-        """Return the bytes of a scene, from disk or from the job's coordinator (`fetch_bundle`)."""
-        payload = None if self._folder is None else _read(self._folder / digest)
-        if payload is None:
-            payload = fetch_bundle(bus, job, digest)
-            if self._folder is not None:
-                with suppress(OSError):  # a cache that cannot be written is only slower
-                    write_whole(self._folder / digest, payload)
-                    _make_room(self._folder)
-        return payload
-
-
-def _read(path: Path) -> bytes | None:
-    """The bundle in a file named by its digest; None: there is no such file, or it is damaged."""
-    with suppress(OSError):
-        payload = path.read_bytes()
-        if hashlib.sha256(payload).hexdigest() == path.name:
-            with suppress(OSError):  # the folder may belong to others
-                os.utime(path)
-            return payload
-    return None
-
-
-def _make_room(folder: Path) -> None:
-    """Remove the least recently used scenes above the size limit, and unfinished files."""
-    remove_unfinished(folder, time.time())
-    scenes = [(path, path.stat()) for path in folder.iterdir() if DIGEST.fullmatch(path.name)]
-    scenes.sort(key=lambda scene: scene[1].st_mtime_ns, reverse=True)
-    size = 0
-    for path, status in scenes:
-        size += status.st_size
-        if size > MAX_STORE_SIZE:
-            path.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
@@ -102,11 +55,8 @@ class SceneAnswered:
 class BackgroundRequests:
     """Asks coordinators, and reports each answer to `report`."""
 
-    def __init__(
-        self, bus: Bus, store: SceneStore, report: Callable[[JoinAnswered | SceneAnswered], None]
-    ) -> None:
+    def __init__(self, bus: Bus, report: Callable[[JoinAnswered | SceneAnswered], None]) -> None:
         self._bus = bus
-        self._store = store
         self._report = report
 
     def join(self, job: str, join: Join) -> None:
@@ -119,8 +69,8 @@ class BackgroundRequests:
         start(lambda: self._report(JoinAnswered(job, join.number, result_or_error(ask))))
 
     def fetch(self, job: str, scene: str) -> None:
-        """Get a scene, from disk or from a coordinator."""
-        bundle = partial(self._store.bundle, self._bus, job, scene)
+        """Get a scene from a coordinator."""
+        bundle = partial(fetch_bundle, self._bus, job, scene)
         start(lambda: self._report(SceneAnswered(job, scene, result_or_error(bundle))))
 
 
@@ -194,18 +144,15 @@ class BuildAttempt:
             self.process.kill()
 
     def run(self, bus: Bus, nice: int) -> BuildEnded:
-        """Build; the end is an answer in every case."""
+        """Build; the end is an answer in every case, and final if no worker can have the files."""
         try:
             with tempfile.TemporaryDirectory(prefix="qdgrasp-shape-") as folder:
                 self._fetch(bus, Path(folder) / "files")
                 return self._build(Path(folder), ["nice", "-n", str(nice)] if nice else [])
-        except TooLarge as error:
-            return BuildEnded(self.job, self.build, reason=str(error), is_final=True)
-        except (BusError, MessageError) as error:
-            return BuildEnded(self.job, self.build, reason=f"its files cannot be fetched: {error}")
-        except (MemoryError, OSError) as error:
-            why = getattr(error, "strerror", None) or error
-            return BuildEnded(self.job, self.build, reason=f"it cannot be built here: {why}")
+        except (QdgraspError, MemoryError, OSError) as error:
+            is_final = isinstance(error, TooLarge)
+            reason = str(getattr(error, "strerror", None) or error)
+            return BuildEnded(self.job, self.build, reason=reason, is_final=is_final)
 
     def _fetch(self, bus: Bus, folder: Path) -> None:
         for file in self.build.task.files:

@@ -42,7 +42,6 @@ from qdgrasp_worker.runtime.background_tasks import (
     BuilderClient,
     JoinAnswered,
     SceneAnswered,
-    SceneStore,
 )
 from qdgrasp_worker.runtime.job_registry import JobRegistry, JobSession, jitter
 from qdgrasp_worker.runtime.simulator_messages import BatchProgress
@@ -139,7 +138,6 @@ class WorkerService:
         simulator: SimulatorSupervisor,
         inbox: Inbox,
         *,
-        store: SceneStore,
         job: str | None,
         grace: float,
         rows: int = 0,
@@ -152,7 +150,7 @@ class WorkerService:
         self._stop = stop
         self._simulator = simulator
         self._inbox = inbox
-        self._requests = BackgroundRequests(bus, store, inbox.put)
+        self._requests = BackgroundRequests(bus, inbox.put)
         join = Join(
             versions=[VERSION],
             wid=self.wid,
@@ -167,7 +165,7 @@ class WorkerService:
             platform={},
         )
         self._jobs = JobRegistry(bus, self._requests, join, job)
-        self._scenes: dict[str, bytes] = {}  # Bundles that the simulator has not taken yet, by digest
+        self._scenes: dict[str, bytes] = {}  # Bundles by digest
         self._requested: set[str] = set()  # Digests of scenes that are fetched now
         self._builder = BuilderClient(bus, inbox.put, nice)
         self._keys = Keys(job) if job else AnyJob()
@@ -311,7 +309,7 @@ class WorkerService:
                 task.fail_all("its scene ends every simulator")
                 self._finish(task)
             else:
-                bundle = None if self._simulator.has_scene(scene) else self._scenes.pop(scene)
+                bundle = None if self._simulator.has_scene(scene) else self._scenes[scene]
                 self._simulator.submit(task, bundle, now)
 
     def _begin_build(self) -> None:
