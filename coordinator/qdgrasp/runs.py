@@ -20,7 +20,7 @@ from qdgrasp_protocol.errors import check_packages
 from qdgrasp_protocol.rows import Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.campaign_folder import open_campaign
-from qdgrasp_tools.campaign.summary import RunSummary, run_summary
+from qdgrasp_tools.campaign.summaries import RunSummary, run_summary
 from qdgrasp_tools.export.frames import frame_of
 from qdgrasp_tools.export.grasp_reader import (
     GraspChoice,

@@ -112,11 +112,10 @@ def scan(_: Prepared, path: Path, radius: float = 0.03) -> None:
 
 
 def parts(_: Prepared, path: Path) -> None:
-    """A folder of meshes in millimetres, with a table of masses."""
+    """A folder of meshes in millimetres."""
     path.mkdir()
     trimesh.creation.box((20, 20, 80)).export(path / "lever.stl")
     trimesh.creation.icosphere(subdivisions=2, radius=25).export(path / "knob.ply")
-    (path / "masses.csv").write_text("file,mass\nlever.stl,0.35\n")
 
 
 def library(_: Prepared, path: Path) -> None:

@@ -23,7 +23,7 @@ from tests.common import PATIENCE, own_endpoint, wait_for
 from qdgrasp import entry
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import FolderError
-from qdgrasp_tools.campaign.summary import run_summary
+from qdgrasp_tools.campaign.summaries import run_summary
 
 COORDINATOR, MONITOR, RECORDER, ROUTER = (
     f"qdgrasp_tools.cli.{name}_process" for name in ("coordinator", "monitor", "recorder", "router")

@@ -107,9 +107,8 @@ def test_a_folder_of_meshes_is_a_campaign(qdgrasp):
     parts = qdgrasp.home / "my parts"
     parts.mkdir()
     trimesh.creation.box(extents=(50, 60, 70)).export(parts / "large one.stl")
-    (parts / "masses.csv").write_text("file,mass\nlarge one.stl,0.3\n")
     asked = ("campaign", "--gripper", "panda", "--objects", parts, "--units", "mm", "--evaluations", 20)
-    qdgrasp.succeed(*asked, "--workers", 1, "--out", "out")
+    qdgrasp.succeed(*asked, "--mass", 0.3, "--workers", 1, "--out", "out")
     found = qdgrasp.info("out/runs/panda-large-one-aimed-s0-physical")
     assert (found["complete"], found["scale"], found["protocol"]) == (True, 0.001, "physical")
     assert "1 of 1 run with" in qdgrasp("campaign", "out").out

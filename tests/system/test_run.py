@@ -12,7 +12,7 @@ from tests.system.commands import BUDGET, Commands, rows_recorded
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import read_run_spec
-from qdgrasp_tools.campaign.ranking import read_run_grasps
+from qdgrasp_tools.campaign.source_runs import read_run_grasps
 
 
 def test_a_run_ends_with_exactly_its_budget_and_says_what_it_found(reference):

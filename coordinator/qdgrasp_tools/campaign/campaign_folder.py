@@ -8,14 +8,12 @@ import re
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
-
-from msgspec import Struct, structs
+from typing import Any
 
 from qdgrasp_assets.asset_paths import named_path
 from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, is_in_catalog, shape_task, unpack_shape
-from qdgrasp_coordinator.metrics.job_status import ObjectListing, RunListing
-from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals, count_rows
+from qdgrasp_coordinator.metrics.job_status import RunListing
+from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, count_rows
 from qdgrasp_coordinator.scheduler.run_plan import (
     BuildReply,
     JobExtent,
@@ -50,15 +48,7 @@ from qdgrasp_tools.campaign.campaign_file import (
     Campaign,
     read_campaign,
 )
-from qdgrasp_tools.campaign.object_library import read_skip_report, skip_report
-from qdgrasp_tools.campaign.object_table import (
-    ObjectQuantiles,
-    ObjectRun,
-    count_states,
-    least_objects,
-    list_objects,
-    object_quantiles,
-)
+from qdgrasp_tools.campaign.object_library import skip_report
 
 
 def extend_run(folder: RunFolder, **goals: float) -> None:
@@ -85,14 +75,6 @@ SCENE_KEYS = (
 SHAPE_KEYS = ("object", "scale", "mesh", "surface_seed")  # Keys that tell shapes in a campaign apart
 
 
-class RunProgress(NamedTuple):
-    """Counts of a run in a folder, finished or not."""
-
-    totals: RunTotals
-    ended: str
-    """Reason why it is finished, in words; empty while it is not."""
-
-
 def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
     """Return the counts of the run that `spec` asks for.
 
@@ -117,12 +99,12 @@ def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
         return None
 
 
-def campaign_progress(folder: JobFolder, runs: Mapping[str, RunSpec]) -> dict[str, RunProgress]:
+def campaign_progress(folder: JobFolder, runs: Mapping[str, RunSpec]) -> dict[str, RunListing]:
     """Return the counts of a campaign's runs that have begun, by name; raises as `run_listing`.
 
     Finished ones are read from the index; those that it lacks are counted, and added.
     """
-    found, index = dict[str, RunProgress](), FinishedRuns(folder.path)
+    found, index = dict[str, RunListing](), FinishedRuns(folder.path)
     index.refresh()
     for name, spec in runs.items():
         path = folder.run_path(name)
@@ -130,13 +112,13 @@ def campaign_progress(folder: JobFolder, runs: Mapping[str, RunSpec]) -> dict[st
         if listing is None and (listing := run_listing(path, spec)) is not None and listing.finished:
             index.add(path, spec, listing)
         if listing is not None:
-            found[name] = RunProgress(listing.totals, listing.finished)
+            found[name] = listing
     return found
 
 
-def count_endings(runs: Iterable[RunProgress]) -> Counter[str]:
+def count_endings(runs: Iterable[RunListing]) -> Counter[str]:
     """Count finished runs by why they ended; numbers in it are left out."""
-    return Counter(DIGITS.sub("N", run.ended) for run in runs if run.ended)
+    return Counter(DIGITS.sub("N", run.finished) for run in runs if run.finished)
 
 
 class CampaignRunQueue(RunQueue):
@@ -154,7 +136,7 @@ class CampaignRunQueue(RunQueue):
         self._folder = folder
         self._runs = runs
         begun = campaign_progress(folder, runs) if folder else {}
-        finished = {name: found.totals for name, found in begun.items() if found.ended}
+        finished = {name: found.totals for name, found in begun.items() if found.finished}
         self.runs_begun = len(begun) - len(finished)
         """Number of runs that have begun, and are not finished."""
         self.recorded = sum((found.totals for found in begun.values()), NO_TOTALS)
@@ -331,109 +313,6 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
     if asked.skipped is not None and (asked.skipped or (folder.path / SKIPPED).is_file()):
         outputs.replace(folder.path / SKIPPED, skip_report(asked.skipped))
     return extent
-
-
-class CampaignSummary(Struct, frozen=True, kw_only=True):
-    """Counts of a campaign: what is asked for, what is finished, and what was left out."""
-
-    campaign: str
-    runs: int
-    runs_done: int
-    objects: int
-    evaluations: int
-    """Sum of the budgets of all runs."""
-    evaluations_done: int
-    """Evaluations of finished runs."""
-    successes: int
-    """Successes of finished runs; `grasps` are those that survived a disturbance."""
-    grasps: int
-    skipped: int
-    """Objects that cannot be used, and are left out."""
-    ended: dict[str, int]
-    """Number of finished runs for each reason of their end, the most frequent first, as in `reasons`."""
-    reasons: dict[str, int]
-    """Number of objects left out for each reason, the most frequent first; numbers in it are left out."""
-    states: dict[str, int]
-    """Number of objects in each state."""
-    quantiles: dict[str, ObjectQuantiles]
-    """Quantiles over the objects with a finished run, of grasps and of cells; empty before there is one."""
-    little: int
-    """Objects that got little."""
-    least: list[ObjectListing]
-    """The first few of these, by grasps and cells."""
-
-    @property
-    def table(self) -> str:
-        """All counts, one to a line."""
-        values = structs.asdict(self)
-        reasons, states = values.pop("reasons"), values.pop("states")
-        ended = values.pop("ended")
-        del values["quantiles"]
-        named, little = len(values.pop("least")), values.pop("little")
-        lines = [f"{name.replace('_', ' '):<16} {value}" for name, value in values.items()]
-        lines += [f"{'ended':<16} {count}: {reason}" for reason, count in ended.items()]
-        lines += [f"{'left out':<16} {count}: {reason}" for reason, count in reasons.items()]
-        lines.append(f"{'objects by state':<16} {', '.join(f'{n} {state}' for state, n in states.items())}")
-        for name, found in self.quantiles.items():
-            lines.append(f"{f'{name} of each':<16} {found.words} (least, quarters, most)")
-        lines.append(f"{'got little':<16} {little}")
-        lines += [f"  {one.object}: {one.note}" for one in self.least]
-        if little > named:
-            lines.append(f"  and {little - named} more, which --objects --sort note lists first")
-        return "\n".join(lines)
-
-
-LEAST_NAMED = 10  # The most objects that a summary names
-
-
-def campaign_objects(folder: JobFolder) -> list[ObjectListing]:
-    """Return the table of a campaign's objects, also while it goes on."""
-    return _list_objects(folder, *_runs_so_far(folder))
-
-
-def campaign_summary(folder: JobFolder) -> CampaignSummary:
-    """Count what a campaign asks for, has finished and left out, also while it goes on."""
-    runs, begun = _runs_so_far(folder)
-    finished = {name: found.totals for name, found in begun.items() if found.ended}
-    extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(finished)
-    objects = _list_objects(folder, runs, begun)
-    reasons = Counter(DIGITS.sub("N", skipped.reason) for skipped in read_skip_report(folder.path / SKIPPED))
-    little = [each for each in objects if each.little]
-    return CampaignSummary(
-        campaign=folder.name,
-        runs=extent.runs,
-        runs_done=extent.runs_done,
-        objects=len({spec.object for spec in runs.values()}),
-        evaluations=extent.evaluations,
-        evaluations_done=extent.done.evaluations,
-        successes=extent.done.successes,
-        grasps=extent.done.grasps,
-        skipped=reasons.total(),
-        ended=dict(count_endings(begun.values()).most_common()),
-        reasons=dict(reasons.most_common()),
-        states=count_states(objects),
-        quantiles=object_quantiles(objects),
-        little=len(little),
-        least=least_objects(little, LEAST_NAMED),
-    )
-
-
-def _runs_so_far(folder: JobFolder) -> tuple[Mapping[str, RunSpec], dict[str, RunProgress]]:
-    """Return the runs that a begun campaign asks for, and the counts of those that have begun."""
-    runs = read_campaign(folder.path / CAMPAIGN, here=False).runs
-    return runs, campaign_progress(folder, runs)
-
-
-def _list_objects(
-    folder: JobFolder, runs: Mapping[str, RunSpec], begun: Mapping[str, RunProgress]
-) -> list[ObjectListing]:
-    shown = [
-        ObjectRun(name, spec, begun[name].totals, bool(begun[name].ended))
-        if name in begun
-        else ObjectRun(name, spec)
-        for name, spec in runs.items()
-    ]
-    return list_objects(shown, read_skip_report(folder.path / SKIPPED))
 
 
 def open_campaign(path: Path) -> JobFolder:

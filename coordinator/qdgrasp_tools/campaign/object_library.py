@@ -1,14 +1,11 @@
 """Reads a library: objects that a manifest names, or that lie in a folder of meshes.
 
-A manifest is a table in CSV or Parquet, or a TOML file of [[object]] tables, with a row for each object. All
-that cannot be used are named at once, or left out and reported where that is asked for. Checks of a mesh are
-remembered by its content (`check_mesh`).
+A manifest is a table in CSV or Parquet with a row for each object. All that cannot be used are named at once,
+or left out and reported where that is asked for. Checks of a mesh are remembered by its content
+(`check_mesh`).
 """
 
-import math
-import tomllib
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,22 +22,12 @@ from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes, chec
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import ObjectRecord, run_spec
 
-MANIFEST_FORMATS = (".csv", ".parquet", ".toml")
-COLUMNS = {
-    **dict.fromkeys(("file", "id", "unit", "category", "licence", "source", "split"), str),
-    **dict.fromkeys(("scale", "mass", "density", "friction"), float),
-    **dict.fromkeys(("remesh", "hull", "glued"), bool),
-    "simplify": int,
-}
-"""Columns of a manifest, with the type of each; all but `file` may be missing or empty."""
+MANIFEST_FORMATS = (".csv", ".parquet")
 PREPARATIONS = tuple(field.name for field in structs.fields(MeshPreparation))
 NOTES = tuple(field.name for field in structs.fields(ObjectRecord))
-WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-MASS_TABLE = "masses.csv"  # The table of masses in a folder of meshes
-MASS_COLUMNS = ["file", "mass"]
 MASS_DIGITS = 6  # Significant digits of a mass that follows from a density
 GREATEST_MASS = 1000  # Greatest mass that a spec allows [kg]
-NO_MASS = "it has no mass; say what it weighs with --mass or --density, or in the manifest or " + MASS_TABLE
+NO_MASS = "it has no mass; say what it weighs with --mass or --density, or in a manifest"
 REPORT_COLUMNS = ("object", "file", "reason", "mend")
 
 
@@ -81,6 +68,26 @@ class Library:
     skipped: tuple[SkippedObject, ...] = ()
 
 
+class ManifestRow(Struct, kw_only=True):
+    """The columns of a manifest; all but `file` may be missing or empty."""
+
+    file: str
+    id: str | int = ""
+    unit: str | None = None
+    scale: float | None = None
+    mass: float | None = None
+    density: float | None = None
+    friction: float | None = None
+    category: str | None = None
+    licence: str | None = None
+    source: str | None = None
+    split: str | None = None
+    remesh: bool | None = None
+    hull: bool | None = None
+    glued: bool | None = None
+    simplify: int | None = None
+
+
 class LibraryRow(Struct, frozen=True, kw_only=True):
     """One object as a library names it; None: not said."""
 
@@ -103,14 +110,8 @@ class LibraryRow(Struct, frozen=True, kw_only=True):
 
 
 def is_manifest(path: Path) -> bool:
-    """Return whether a path is a manifest's: a table, or a TOML file with [[object]]."""
-    kind = path.suffix.lower()
-    if kind != ".toml" or not path.is_file():
-        return kind in MANIFEST_FORMATS[:2]
-    try:
-        return isinstance(tomllib.loads(path.read_text(encoding="utf-8")).get("object"), list)
-    except (OSError, ValueError, RecursionError):
-        return False
+    """Return whether a path is a manifest's."""
+    return path.suffix.lower() in MANIFEST_FORMATS
 
 
 def read_library(where: Path, rules: LibraryRules, tell: Tell = ignore_progress) -> Library:
@@ -120,8 +121,8 @@ def read_library(where: Path, rules: LibraryRules, tell: Tell = ignore_progress)
     cannot be read as one, and UnusableMeshes for objects that cannot be used, unless these are to be skipped
     and others are left.
     """
-    rows, faults = (_manifest_rows(where), {}) if is_manifest(where) else _folder_rows(where)
-    faults |= _repeats(rows)
+    rows = _manifest_rows(where) if is_manifest(where) else _folder_rows(where)
+    faults = _repeats(rows)
     objects: dict[str, dict[str, Any]] = {}
     for number, row in enumerate(rows, start=1):
         tell(f"checking meshes: {number} of {len(rows)}")
@@ -138,9 +139,9 @@ def read_library(where: Path, rules: LibraryRules, tell: Tell = ignore_progress)
         said = {"mass": mass, "scale": scale, "friction": row.friction, "mesh": mesh, "about": row.about}
         objects[str(row.file)] = {k: msgspec.to_builtins(v) for k, v in said.items() if v is not None}
     if faults and not (rules.skip_unusable and objects):
-        raise UnusableMeshes(len(faults.keys() | {row.name for row in rows}), faults)
+        raise UnusableMeshes(len(rows), faults)
     files = {row.name: str(row.file) for row in rows}
-    return Library(objects, tuple(_skipped(name, files.get(name, ""), why) for name, why in faults.items()))
+    return Library(objects, tuple(_skipped(name, files[name], why) for name, why in faults.items()))
 
 
 def mesh_fault(checked: MeshCheck, mass: float | None) -> str:
@@ -196,10 +197,10 @@ def _repeats(rows: Sequence[LibraryRow]) -> dict[str, str]:
     return faults
 
 
-def _folder_rows(folder: Path) -> tuple[list[LibraryRow], dict[str, str]]:
-    """Return the meshes below a folder, and the faults of its table of masses.
+def _folder_rows(folder: Path) -> list[LibraryRow]:
+    """Return the meshes below a folder.
 
-    Meshes in folders of it have their path as their id, as their files may have the same names.
+    Those in folders of it have their path as their id, as their files may have the same names.
     """
     if not folder.is_dir():
         raise InputError(
@@ -211,114 +212,64 @@ def _folder_rows(folder: Path) -> tuple[list[LibraryRow], dict[str, str]]:
         raise InputError(
             f"There is no mesh in '{folder}': name a folder of files such as {', '.join(READABLE_FORMATS)}."
         )
-    masses, rows = _read_masses(folder / MASS_TABLE), []
+    rows = []
     for file in found:
         name = file.relative_to(folder)
         about = ObjectRecord(id=name.with_suffix("").as_posix()) if len(name.parts) > 1 else None
-        mass = masses.pop(name.as_posix(), None)
-        rows.append(LibraryRow(name=name.as_posix(), file=file.resolve(), mass=mass, about=about))
-    return rows, dict.fromkeys(masses, f"{MASS_TABLE} names it, and there is no such mesh")
-
-
-def _read_masses(table: Path) -> dict[str, float]:
-    """Read the masses [kg] in a table by file; empty if there is no table."""
-    if not table.is_file():
-        return {}
-    try:
-        return {row["file"]: float(row["mass"]) for row in read_csv(table, MASS_COLUMNS)}
-    except ValueError as error:
-        raise InputError(f"'{table}' is no table of masses in kg: {error}.") from None
+        rows.append(LibraryRow(name=name.as_posix(), file=file.resolve(), about=about))
+    return rows
 
 
 def _manifest_rows(path: Path) -> list[LibraryRow]:
     """Return the rows of a manifest, no two of one name; files are relative to its folder."""
-    try:
-        tables = list(_READERS[path.suffix.lower()](path))
-    except (OSError, ValueError, RecursionError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise InputError(f"The manifest '{path}' cannot be read: {why}.") from None
+    tables = _manifest_tables(path)
     if not tables:
         raise InputError(f"The manifest '{path}' names no object: it needs a row for each, with its file.")
     for key in dict.fromkeys(key for table in tables for key in table):
-        if key not in COLUMNS:
-            raise UnknownKey(str(path), str(key), COLUMNS)
-    if not all(table.get("file") for table in tables):
-        number = next(n for n, table in enumerate(tables, 1) if not table.get("file"))
-        raise InputError(f"The manifest '{path}' says no file in row {number}: every object needs one.")
-    rows = [_row(table, path.absolute().parent) for table in tables]
-    counts = Counter(row.name for row in rows)
-    return [
-        row
-        if counts[row.name] == 1
-        else structs.replace(row, name=f"{row.name} (row {number}, {row.file.name})")
-        for number, row in enumerate(rows, 1)
-    ]
+        if key not in ManifestRow.__struct_fields__:
+            raise UnknownKey(str(path), str(key), ManifestRow.__struct_fields__)
+    rows: dict[str, LibraryRow] = {}
+    for number, table in enumerate(tables, 1):
+        # missing numbers of a Parquet table may be NaN
+        said = {key: value for key, value in table.items() if value not in (None, "") and value == value}
+        if "file" not in said:
+            raise InputError(f"The manifest '{path}' says no file in row {number}: every object needs one.")
+        row = _row(said, path.absolute().parent)
+        name = f"{row.name} (row {number})" if row.name in rows else row.name
+        rows[name] = structs.replace(row, name=name)
+    return list(rows.values())
+
+
+def _manifest_tables(path: Path) -> list[dict[str, Any]]:
+    if path.suffix.lower() == ".csv":
+        return list[dict[str, Any]](read_csv(path))
+    check_packages(str(path), "pyarrow")
+    from pyarrow import ArrowException, parquet  # takes its time
+
+    try:
+        return list(parquet.read_table(path, use_threads=False).to_pylist())
+    except (OSError, ArrowException) as error:
+        raise InputError(f"The manifest '{path}' cannot be read: {error}.") from None
 
 
 def _row(table: Mapping[str, Any], folder: Path) -> LibraryRow:
     """Return a row of plain values; what is wrong with them is its fault."""
     relative = Path(str(table["file"]))
-    id_ = str(table.get("id", "")).strip() or relative.with_suffix("").as_posix()
-    name, file = id_, (folder / relative).resolve()
+    id_ = str(table.get("id", "")) or relative.with_suffix("").as_posix()
+    row = LibraryRow(name=id_, file=(folder / relative).resolve())
     try:
-        values = {key: _value(key, value) for key, value in table.items()}
-        if values.get("mass") is not None and values.get("density") is not None:
+        values = msgspec.convert(table, ManifestRow, strict=False)
+        if values.mass is not None and values.density is not None:
             raise InputError("its row says mass and density; say one of them")
-        notes = {key: values[key] for key in NOTES if key in values} | {"id": id_}
-        mesh = {key: values[key] for key in PREPARATIONS if key in values}
-        scale, friction = scale_of(values.get("unit"), values.get("scale")), values.get("friction")
-        known = {"gripper": "", "object": "", "mesh": mesh or None, "about": notes, "friction": friction}
-        spec = run_spec({k: v for k, v in known.items() if v is not None}, "row")
-    except InputError as error:
-        return LibraryRow(name=name, file=file, fault=str(error).rstrip("."))
-    physical: dict[str, Any] = {key: values.get(key) for key in ("mass", "density", "friction")}
-    return LibraryRow(name=name, file=file, scale=scale, mesh=spec.mesh, about=spec.about, **physical)
-
-
-def _value(key: str, value: Any) -> Any:
-    """Return a cell as its column's type; InputError if it is of another."""
-    kind = COLUMNS[key]
-    if kind is str:
-        return str(value)
-    if kind is bool:
-        flag = value if isinstance(value, bool) else WORDS.get(str(value).strip().lower())
-        if flag is None:
-            raise InputError(f"its {key} must be true or false, got {value!r}")
-        return flag
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number) or (kind is int and not number.is_integer()):
-        raise InputError(f"its {key} must be a {'whole ' if kind is int else ''}number, got {value!r}")
-    return kind(number)
-
-
-def _csv_rows(path: Path) -> Iterator[dict[str, Any]]:
-    for row in read_csv(path):
-        yield {key: cell for key, cell in row.items() if cell or key not in COLUMNS}
-
-
-def _toml_rows(path: Path) -> Iterator[dict[str, Any]]:
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
-    if unknown := [key for key in content if key != "object"]:
-        raise UnknownKey(str(path), unknown[0], ["object"])
-    for table in content["object"]:
-        if not isinstance(table, dict):
-            raise ValueError("each object is a table: [[object]]")  # noqa: TRY004  # told with the others
-        yield table
-
-
-def _parquet_rows(path: Path) -> Iterator[dict[str, Any]]:
-    check_packages(str(path), "pyarrow")
-    from pyarrow import ArrowException, parquet  # takes its time
-
-    try:
-        rows = parquet.read_table(path, use_threads=False).to_pylist()
-    except ArrowException as error:
-        raise ValueError(str(error)) from None
-    for row in rows:
-        yield {key: value for key, value in row.items() if value not in (None, "") and value == value}
-
-
-_READERS = {".csv": _csv_rows, ".parquet": _parquet_rows, ".toml": _toml_rows}
+        said = {key: value for key, value in structs.asdict(values).items() if value is not None}
+        notes, mesh = ({key: said[key] for key in said if key in keys} for keys in (NOTES, PREPARATIONS))
+        known = {"gripper": "", "object": "", "about": notes | {"id": id_}}
+        known |= ({"mesh": mesh} if mesh else {}) | {key: said[key] for key in said if key == "friction"}
+        spec = run_spec(known, "row")
+        scale = scale_of(values.unit, values.scale)
+    except (msgspec.ValidationError, InputError) as error:
+        return structs.replace(row, fault=str(error).rstrip("."))
+    return structs.replace(
+        row, mass=values.mass, density=values.density, friction=values.friction, scale=scale,
+        mesh=spec.mesh, about=spec.about,
+    )  # fmt: skip

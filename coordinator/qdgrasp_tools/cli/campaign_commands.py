@@ -85,10 +85,10 @@ def campaign(
     [[cross]] with its own keeps them. With --grasps an object with many grasps ends early, one with few
     continues to --evaluations, here 20000, or until it is saturated (saturation, here 0.1).
 
-    A manifest (CSV, Parquet or TOML) names the objects of a library, with what they weigh and are; with
-    --objects every mesh below a folder is grasped instead, whose masses stand in masses.csv there, or are
-    said for all. Both are campaigns of meshes, and take the options for meshes and all keys of a spec. With
-    --skip-unusable the folder's skipped.csv names what is left out; see docs/objects.md.
+    A manifest (CSV or Parquet) names the objects of a library, with what they weigh and are; with --objects
+    every mesh below a folder is grasped instead, whose masses are said for all. Both are campaigns of meshes,
+    and take the options for meshes and all keys of a spec. With --skip-unusable the folder's skipped.csv
+    names what is left out; see docs/objects.md.
 
     --shard shares the runs among several coordinators, each with a job and a folder, runs/FILE-IofN.
 
@@ -202,18 +202,6 @@ def analyse(
         list[Path] | None,
         typer.Option(help="A reference set of one's own; may be given again. The published ones need none."),
     ] = None,
-    method: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Whose cells are drawn; may be given again. Default: those compared, or the one with most."
-        ),
-    ] = None,
-    objects: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--object", help="On which object cells are drawn; may be given again. Default: all, or one."
-        ),
-    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Draw and tabulate what the runs of a campaign found.
@@ -225,13 +213,7 @@ def analyse(
     """
     from qdgrasp_tools.report.report import REPORT_FOLDER, write_report  # matplotlib takes its time
 
-    found = write_report(
-        directory,
-        out or directory / REPORT_FOLDER,
-        references=reference or (),
-        methods=method or (),
-        objects=objects or (),
-    )
+    found = write_report(directory, out or directory / REPORT_FOLDER, reference or ())
     if as_json:
         values = {"out": str(found.out), "runs": len(found.runs), "unfinished": found.unfinished}
         echo(json.dumps(values | {"left_out": found.left_out, "repeats": found.repeats}))

@@ -7,14 +7,13 @@ import json
 import os
 import threading
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 import typer
 
-from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import outcome_words
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -24,16 +23,15 @@ from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EXTRAS, ImpossibleValue, InputError, check_packages
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.text import counted, parse_numbers, printable
-from qdgrasp_tools.campaign.campaign_folder import campaign_objects, campaign_summary
-from qdgrasp_tools.campaign.object_table import (
+from qdgrasp_protocol.text import parse_numbers, printable
+from qdgrasp_tools.campaign.summaries import (
     SORT_KEYS,
-    least_objects,
+    campaign_objects,
+    campaign_summary,
+    run_summary,
     select_objects,
     table_lines,
-    to_csv,
 )
-from qdgrasp_tools.campaign.summary import run_summary
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.options import host_and_port
 from qdgrasp_tools.local.progress import progress_display
@@ -55,13 +53,6 @@ def info(
         str | None,
         typer.Option(metavar="KEY", help=f"With --objects: by {', '.join(SORT_KEYS)}; -KEY: greatest first."),
     ] = None,
-    least: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="With --objects: the N with a finished run that got least."),
-    ] = None,
-    table: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="With --objects: write the table there.")
-    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Say what a run is and what it has found, also while it goes on.
@@ -74,42 +65,22 @@ def info(
     Example: qdgrasp info runs/parts --objects --sort grasps --search mug
     """
     is_campaign = JobFolder.is_job(directory) and (directory / CAMPAIGN).is_file()
-    given = options.given(objects=objects or None, search=search, sort=sort, least=least, csv=table)
-    if given and not is_campaign:
-        raise InputError(
-            f"--{next(iter(given))} is about the objects of a campaign, and {directory} holds none; leave it "
-            "out, or name the folder of a campaign."
-        )
-    if given and not objects:
-        raise InputError(f"--{next(iter(given))} does nothing without --objects; add it, or leave it out.")
-    if objects:
-        output = OutFile(table, instead="name another file with --csv", force=None) if table else None
-        if output:
-            output.check()
-        key = (sort or "").removeprefix("-")
-        down = (sort or "").startswith("-")
-        select_objects((), sort=key)
-        listed = campaign_objects(JobFolder.open(directory))
+    if (objects or search or sort) and not is_campaign:
+        raise InputError(f"{directory} holds no campaign, whose objects --objects, --search and --sort list.")
+    if objects or search or sort:
         shown = select_objects(
-            least_objects(listed, least) if least else listed, search or "", key, down=down
+            campaign_objects(JobFolder.open(directory)),
+            search or "",
+            (sort or "").removeprefix("-"),
+            down=(sort or "").startswith("-"),
         )
-        _print_objects(shown, output, as_json=as_json)
+        lines = "\n".join(printable(line) for line in table_lines(shown))
+        echo(json.dumps(msgspec.to_builtins(shown)) if as_json else lines)
         return
     found = (
         campaign_summary(JobFolder.open(directory)) if is_campaign else run_summary(RunFolder.open(directory))
     )
     echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
-
-
-def _print_objects(shown: Sequence[ObjectListing], output: OutFile | None, *, as_json: bool) -> None:
-    if output:
-        output.write(to_csv(shown))
-    if as_json:
-        echo(json.dumps(msgspec.to_builtins(shown)))
-    elif output:
-        echo(f"{counted(len(shown), 'object')} in {output.path}")
-    else:
-        echo("\n".join(printable(line) for line in table_lines(shown)))
 
 
 def show(

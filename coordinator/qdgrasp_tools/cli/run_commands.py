@@ -31,10 +31,10 @@ from qdgrasp_protocol.spec import (
     to_values,
 )
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.campaign import ranking
+from qdgrasp_tools.campaign import source_runs
 from qdgrasp_tools.campaign.campaign_folder import extend_run
-from qdgrasp_tools.campaign.summary import run_summary
-from qdgrasp_tools.campaign.warm_start import WarmStart
+from qdgrasp_tools.campaign.source_runs import WarmStart
+from qdgrasp_tools.campaign.summaries import run_summary
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import ProgressDisplay, progress_display, progress_messages
 from qdgrasp_tools.local.supervisor import LocalJobConfig, Supervisor
@@ -152,8 +152,8 @@ def echo_errors(errors: int, path: str) -> None:
 
 def write_ranking_of(folder: RunFolder) -> None:
     """Rank the grasps of a complete run that has scored them again."""
-    if ranking.is_reranking(folder):
-        echo(ranking.write_ranking(folder))
+    if source_runs.is_reranking(folder):
+        echo(source_runs.write_ranking(folder))
 
 
 @options.spec_flags("evaluations", "grasps", sets=STOP_KEYS)
@@ -247,9 +247,9 @@ def rerank(
     found = _grasps_of(source, limits)
     base, engine, ways = keys.pop("base", None), keys.pop("engine", None), keys
     if ways:
-        found = ranking.reachable_grasps(source, found, **ways)
-    kinds = ranking.kinds_of_run(source.spec, found, genome_reader(source), by_niche)
-    chosen = ranking.best_of_kinds(found, top, source.scene().object, kinds)
+        found = source_runs.reachable_grasps(source, found, **ways)
+    kinds = source_runs.kinds_of_run(source.spec, found, genome_reader(source), by_niche)
+    chosen = source_runs.best_of_kinds(found, top, source.scene().object, kinds)
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, trials=trials, **ways)
     count = options.worker_count(workers, spec.engine)
     config = LocalJobConfig(count, listen, security, insecure)
@@ -259,7 +259,7 @@ def rerank(
         scene, bundle = run_plan.prepare_scene(spec)
         _check_same(source.scene(), scene)
         with lifetime("qdgrasp rerank") as stop:
-            noted = ranking.source_file(source, chosen)
+            noted = source_runs.source_file(source, chosen)
             begun = RunFolder.create(folder, spec, bundle, job=job, more=noted)
             run_job(begun.job, config, shown, stop)
     print_result(begun, stop)
@@ -267,7 +267,7 @@ def rerank(
 
 def _grasps_of(source: RunFolder, limits: GraspLimits) -> Rows:
     """The grasps of a run within limits."""
-    found = ranking.read_run_grasps(source)
+    found = source_runs.read_run_grasps(source)
     if not len(found):
         raise InputError(f"{source.path} has found no grasp (fitness 1 or more) that could be scored again.")
     every, found = found, found[limits.admitted(found, source.scene())]

@@ -22,7 +22,7 @@ from qdgrasp_protocol.bus import Bus, RingBuffer
 from qdgrasp_protocol.errors import BusError, InputError, MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys
 from qdgrasp_protocol.text import first_few
-from qdgrasp_tools.campaign.object_table import with_events
+from qdgrasp_tools.campaign.summaries import with_events
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
 from qdgrasp_tools.monitor.records import BusRecords
 

@@ -40,7 +40,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import printable
 from qdgrasp_tools.campaign.campaign_file import read_campaign
 from qdgrasp_tools.campaign.object_library import read_skip_report
-from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
+from qdgrasp_tools.campaign.summaries import ObjectRun, list_objects
 from qdgrasp_tools.report.row_report import RowContextCache
 
 COUNTING_SECONDS = 1.0  # seconds for which rows are counted for one answer; it gives what is counted then

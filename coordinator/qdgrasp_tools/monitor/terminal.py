@@ -26,7 +26,7 @@ from qdgrasp_coordinator.metrics.job_status import ObjectListing, utc_now
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.text import printable
-from qdgrasp_tools.campaign.object_table import SORT_KEYS, select_objects
+from qdgrasp_tools.campaign.summaries import SORT_KEYS, select_objects
 from qdgrasp_tools.monitor import screen
 from qdgrasp_tools.monitor.feed import Feed, RecordFeed, summary_lines
 from qdgrasp_tools.monitor.job_model import JobView, end_state

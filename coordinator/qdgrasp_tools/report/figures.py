@@ -1,92 +1,175 @@
-"""Draws the paper's figures: curves of methods, distributions of nu, success cells."""
+"""Draws the paper's figures: curves of methods, distributions of nu, success cells.
 
-from collections.abc import Mapping, Sequence
+A prior has a hue, a family of searches a line style; sizes are in inches.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS_WORDS, NU_BINS
 from qdgrasp_coordinator.metrics.successes import ROBUST, TrialPlan, survival
+from qdgrasp_coordinator.search import registry
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.rendering.drawings import OUTLINE, axes_triad, show_view
+from qdgrasp_tools.rendering.drawings import OUTLINE, axes_triad, figure_text, show_view
 from qdgrasp_tools.rendering.views import best_azimuth, best_in_cells, hues_of_survival, view_of_cells
-from qdgrasp_tools.report.figure_grid import (
-    FAINT,
-    FAMILIES,
-    INK,
-    PRIOR_ORDER,
-    Dashes,
-    FigureGrid,
-    LineStyle,
-    MethodVariant,
-    default_prior,
-    evaluation_axis,
-    family_of,
-    hue_of,
-    line_styles,
-    panel_heading,
-    plain_axes,
-    value_axis,
-)
 from qdgrasp_tools.report.run_groups import (
     CurvePanel,
+    MethodVariant,
     QuartileCurve,
     RunGroup,
+    RunHistory,
     SceneName,
     grouped_by,
     mean_interval,
     sample_end,
 )
-from qdgrasp_tools.report.run_history import RunHistory
+
+Dashes = Literal["-"] | tuple[float, Sequence[float]]
+INK, FAINT, RULE = "#22262b", "#69717a", "#d9dde1"
+"""Colours of text, of notes beside it, and of rules."""
+PRIOR_HUES = {
+    "contact": "#0072b2",
+    "approach": "#d55e00",
+    "antipodal": "#009e73",
+    "valued": "#cc79a7",
+    "spherical": "#4d4d4d",
+}
+FAMILIES: dict[str, Dashes] = {
+    "aimed": "-",
+    "me_scs": "-",
+    "cma_mae": (0, (1.1, 1.3)),
+    "me_rand": (0, (5, 1.6, 1.1, 1.6)),
+    "own": (0, (8, 1.6)),
+    "rand": (0, (4.2, 2.2)),
+}
+"""Line styles: searches are drawn through, dotted or dash-dotted, plain sampling is dashed; `own`: those of
+a program's own."""
+PALEST_VARIANT = 0.65  # How much white is in the palest of a method's variants
+
+
+class LineStyle(NamedTuple):
+    """Colour and dashes of a method's variant."""
+
+    colour: str
+    dashes: Dashes
+
+
+def default_prior(method: str) -> str:
+    """Return the prior of a method, as runs have it unless their spec says otherwise."""
+    return registry.method(method).prior
+
+
+def family_of(method: str) -> str:
+    """Return the family of a method: its name without the prior's prefix; `own` for a program's."""
+    family = method.removeprefix(registry.PRIORS[default_prior(method)].prefix)
+    return family if family in FAMILIES else "own"
+
+
+def line_styles(arms: Iterable[MethodVariant]) -> dict[MethodVariant, LineStyle]:
+    """Choose the style of each variant; of one method, each is paler than the one before."""
+    variants: dict[str, list[MethodVariant]] = {}
+    for arm in dict.fromkeys(arms):
+        variants.setdefault(arm[0], []).append(arm)
+    return {
+        arm: LineStyle(hue_of(method, place / max(1, len(same) - 1)), FAMILIES[family_of(method)])
+        for method, same in variants.items()
+        for place, arm in enumerate(same)
+    }
+
+
+def hue_of(method: str, pale: float = 0.0) -> str:
+    """Return the colour of a method, from its full hue at 0 to its palest variant at 1."""
+    red, green, blue = (
+        part + (1 - part) * PALEST_VARIANT * pale for part in to_rgb(PRIOR_HUES[default_prior(method)])
+    )
+    return to_hex((red, green, blue))
+
+
+FIGURE_DPI = 200
+SVG_SALT = "qdgrasp"  # Of the names in an SVG, so that the same figure gives the same bytes
+
+
+def panel_figure(
+    rows: int, columns: int, panel: tuple[float, float], title: str, handles: Sequence[Line2D] = ()
+) -> tuple[Figure, NDArray[Any]]:
+    """Return a figure with a title and a legend, and its panels (rows, columns), hidden at first."""
+    size = max(6.4, columns * panel[0]), 1.0 + rows * panel[1]
+    figure = Figure(figsize=size, facecolor="white", layout="constrained")
+    figure.suptitle(figure_text(title), x=0.01, ha="left", size=12, weight="bold", color=INK)
+    if handles:
+        figure.legend(
+            handles=handles, loc="outside lower left", ncols=max(1, int(size[0] / 2)), frameon=False,
+            fontsize=8.5, handlelength=3.2, labelcolor=INK,
+        )  # fmt: skip
+    panels = figure.subplots(rows, columns, squeeze=False)
+    for axes in panels.flat:
+        axes.set_visible(False)
+    return figure, panels
+
+
+def write_figure(figure: Figure, stem: Path) -> None:
+    """Write a figure as PNG and SVG."""
+    with matplotlib.rc_context({"svg.hashsalt": SVG_SALT, "svg.fonttype": "path"}):
+        figure.savefig(stem.with_suffix(".png"), dpi=FIGURE_DPI)
+        figure.savefig(stem.with_suffix(".svg"), dpi=FIGURE_DPI, metadata={"Date": None})
+
+
+def _begin_panel(axes: Axes, *heading: str, colour: str = INK) -> None:
+    """Show a panel with faint axes under its heading."""
+    axes.set_visible(True)
+    axes.set_title(figure_text("\n".join(heading)), loc="left", size=8, color=colour)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    axes.spines["bottom"].set_color(FAINT)
+    axes.tick_params(colors=FAINT, labelsize=8, length=3, width=0.7)
+    axes.grid(axis="y", color=RULE, linewidth=0.6)
+    axes.set_axisbelow(True)
+
 
 BAND_OPACITY = 0.13  # Opacity of an interquartile range
 CURVE_COLUMNS = 2  # Panels side by side: the paper's arrangement
-PANEL_SIZE, LONE_PANEL_SIZE = (4.2, 2.7), (5.6, 3.3)  # [inches]
-LABEL_WIDTH, LETTER_WIDTH = 1.85, 0.066
-"""Least width of a column of the legend, and what each letter takes beside the line's 0.75 [inches]."""
-CURVE_CAPTION = (
-    "Median over seeds; shaded: quartiles. Circle: an unfinished run ends. Dashed: sampling alone."
-)
+CURVE_PANEL = (4.6, 3.0)
+CURVE_WORDS = "median over seeds and quartiles; a circle: an unfinished run ends"
 COMPARED_METHODS = ("contact_rand", "approach_rand", "antipodal_rand", "me_scs", "contact_me_scs", "aimed")
 """The methods of the paper's first figure of results, and the default of this project."""
 
 
-def draw_curves(shown: Sequence[CurvePanel], title: str) -> FigureGrid:
+def draw_curves(shown: Sequence[CurvePanel], title: str) -> Figure:
     """Draw a panel for each hand, with a curve for each method (the paper's first two figures)."""
     drawn = line_styles(one.arm for panel in shown for one in panel.curves)
-    handles, across = _method_legend(drawn)
-    letters = np.array([len(str(handle.get_label())) for handle in handles]).reshape(across, -1).max(axis=1)
-    grid = FigureGrid(
-        -(-len(shown) // CURVE_COLUMNS),
-        min(len(shown), CURVE_COLUMNS),
-        PANEL_SIZE if len(shown) > 1 else LONE_PANEL_SIZE,
-        legend_rows=len(handles) // across,
-        least_width=max(6.4, 0.4 + float(np.maximum(LABEL_WIDTH, 0.75 + LETTER_WIDTH * letters).sum())),
-    )
-    for number, panel in enumerate(shown):
-        axes = grid.axes(*divmod(number, CURVE_COLUMNS))
-        plain_axes(axes)
-        evaluation_axis(axes, panel.end)
-        top = max(float(np.nanmax(one.high, initial=0.0)) for one in panel.curves)
-        value_axis(axes, top, share=panel.is_share)
+    handles = [
+        Line2D([], [], color=colour, linestyle=dashes, linewidth=1.9, label=" ".join(arm).rstrip())
+        for arm, (colour, dashes) in drawn.items()
+    ]
+    rows, columns = -(-len(shown) // CURVE_COLUMNS), min(len(shown), CURVE_COLUMNS)
+    figure, panels = panel_figure(rows, columns, CURVE_PANEL, f"{title}: {CURVE_WORDS}", handles)
+    for axes, panel in zip(panels.flat, shown, strict=False):
         seeds = _number_span([len(one.samples) for one in panel.curves])
         ends = _number_span([sample_end(sample) for one in panel.curves for sample in one.samples])
-        panel_heading(axes, panel.scene.words, panel.measure, f"{seeds} seeds \u00d7 {ends} evaluations")
+        _begin_panel(axes, panel.scene.words, panel.measure, f"{seeds} seeds \u00d7 {ends} evaluations")
         for one in panel.curves:
             _draw_curve(axes, panel, one, drawn[one.arm])
-    grid.title(title, CURVE_CAPTION)
-    grid.legend(handles, across)
-    return grid
+        axes.set(xlim=(0, max(panel.end, 1)), xlabel="evaluations")
+        axes.set_ylim(bottom=0)
+        axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,g}"))
+        if panel.is_share:
+            axes.yaxis.set_major_formatter(PercentFormatter(1.0))
+    return figure
 
 
 def _draw_curve(axes: Axes, panel: CurvePanel, one: QuartileCurve, style: LineStyle) -> None:
@@ -105,30 +188,8 @@ def _number_span(numbers: Sequence[int]) -> str:
     return f"{low:,}" if low == high else f"{low:,}\u2013{high:,}"
 
 
-def _method_legend(drawn: Mapping[MethodVariant, LineStyle]) -> tuple[list[Line2D], int]:
-    """Arrange methods as a matrix: a column for each prior, in it the families in their order."""
-    columns = [
-        [arm for f in FAMILIES for arm in drawn if (default_prior(arm[0]), family_of(arm[0])) == (prior, f)]
-        for prior in PRIOR_ORDER
-    ]
-    filled = [column for column in columns if column]
-    rows = max(map(len, filled))
-    handles = [
-        _legend_line(" ".join(column[row]).rstrip(), *drawn[column[row]])
-        if row < len(column)
-        else _legend_line("", "none", "-")
-        for column in filled
-        for row in range(rows)
-    ]
-    return handles, len(filled)
-
-
-def _legend_line(label: str, colour: str, dashes: Dashes) -> Line2D:
-    return Line2D([], [], color=colour, linestyle=dashes, linewidth=1.9, label=label)
-
-
 NU_TICKS = (("0", 0.0), ("\u03c0/4", 0.25), ("\u03c0/2", 0.5), ("3\u03c0/4", 0.75), ("\u03c0", 1.0))
-NU_PANEL_SIZE = (2.9, 1.4)
+NU_PANEL = (3.2, 2.1)
 NU_PRIOR = "contact"
 """The prior that leaves nu free; `approach` bounds it, and antipodal hands lie along their points' line."""
 
@@ -169,25 +230,20 @@ def nu_distributions(groups: Sequence[RunGroup]) -> list[NuDistribution]:
     return found
 
 
-def draw_nu(found: Sequence[NuDistribution]) -> FigureGrid:
+def draw_nu(found: Sequence[NuDistribution]) -> Figure:
     """Draw a row for each hand, a column for each method (the paper's third figure)."""
     hands = list(dict.fromkeys(one.hand for one in found))
     arms = list(dict.fromkeys((one.method, one.variant) for one in found))
-    grid = FigureGrid(len(hands), len(arms), NU_PANEL_SIZE, space_above=0.84)
-    for number, hand in enumerate(hands):
-        grid.row_heading(number, hand)
-        here = [one for one in found if one.hand == hand]
-        top = max(float(one.share.max()) for one in here)
-        for one in here:
-            _draw_distribution(grid.axes(number, arms.index((one.method, one.variant))), one, top)
-    words = "Share of successes in bins of 7.5\u00b0; each run counts alike. In brackets: 95 % interval."
-    grid.title("Lean \u03bd of successes from the surface normal", words)
-    return grid
+    title = "Lean \u03bd of successes from the surface normal: shares in bins of 7.5\u00b0"
+    figure, panels = panel_figure(len(hands), len(arms), NU_PANEL, title)
+    for one in found:
+        _draw_distribution(panels[hands.index(one.hand), arms.index((one.method, one.variant))], one)
+    return figure
 
 
-def _draw_distribution(axes: Axes, lean: NuDistribution, top: float) -> None:
-    plain_axes(axes)
+def _draw_distribution(axes: Axes, lean: NuDistribution) -> None:
     edges, hue = np.linspace(0, 1, NU_BINS + 1), hue_of(lean.method)
+    _begin_panel(axes, lean.hand, f"{lean.method} {lean.variant}".rstrip(), lean.words, colour=hue)
     for low, high, opacity in ((0, NU_BINS // 4, 0.9), (NU_BINS // 4, NU_BINS, 0.4)):
         axes.stairs(lean.share[low:high], edges[low : high + 1], fill=True, color=hue, alpha=opacity)
     axes.axvline(0.25, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))
@@ -196,15 +252,14 @@ def _draw_distribution(axes: Axes, lean: NuDistribution, top: float) -> None:
         "uniform", (1, 1 / NU_BINS), (0, 3), textcoords="offset points", size=7, color=FAINT, ha="right",
         path_effects=[OUTLINE],
     )  # fmt: skip
-    axes.set(xlim=(0, 1), ylim=(0, 1.08 * top))
+    axes.set(xlim=(0, 1))
     axes.set_xticks([place for _, place in NU_TICKS], [word for word, _ in NU_TICKS])
-    axes.yaxis.set_major_formatter(lambda y, _: f"{100 * y:g}\u202f%")
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     axes.yaxis.set_major_locator(MaxNLocator(3))
-    panel_heading(axes, f"{lean.method} {lean.variant}".rstrip(), lean.words, color=hue)
 
 
 MOST_VOXEL_ROWS = 8  # Scenes whose cells are drawn; of more, those of the object that most hands have
-VOXEL_PANEL_INCHES, VOXEL_PIXELS = 2.6, 420
+VOXEL_PANEL, VOXEL_PIXELS = (2.8, 3.1), 420
 TRIAD_LENGTH = 0.085  # Of the object's axes, as a share of a view's height
 LEGEND_ETAS = (0.0, 0.25, 0.5, 0.75, 1.0)  # Etas that are named in the legend of robust runs
 
@@ -245,24 +300,21 @@ def drawn_methods(groups: Sequence[RunGroup]) -> list[str]:
     return compared or ([best] if found.get(best) else [])
 
 
-def run_voxels(
-    groups: Sequence[RunGroup], methods: Sequence[str], objects: Sequence[str] = ()
-) -> list[list[RunVoxels]]:
+def run_voxels(groups: Sequence[RunGroup], methods: Sequence[str]) -> list[list[RunVoxels]]:
     """For each scene, the cells of each method's run with the median number of them.
 
-    Scenes are those of `objects`; without any all, or where there are more than eight, those of the object
-    that most hands have. Runs without a scene in their folder, and scenes without a run, are left out.
+    Of more than eight scenes, those of the object that most hands have. Runs without a scene in their folder,
+    and scenes without a run, are left out.
     """
     chosen: dict[SceneName, dict[str, RunGroup]] = {}
     for group in groups:
         if group.method in methods and group.finished_runs:
             chosen.setdefault(group.scene, {}).setdefault(group.method, group)
-    if not objects and len(chosen) > MOST_VOXEL_ROWS:
-        names = [scene.object for scene in chosen]
-        objects = [max(names, key=names.count)]
+    names = [scene.object for scene in chosen]
+    most = max(names, key=names.count) if len(chosen) > MOST_VOXEL_ROWS else ""
     rows = []
     for scene, found in chosen.items():
-        if not objects or scene.object in objects:
+        if most in ("", scene.object):
             runs = [_median_run(found[method]) for method in methods if method in found]
             rows.append([_voxels_of_run(scene, run) for run in runs if RunFolder(run.path).has_bundle()])
     return [row for row in rows if row]
@@ -280,36 +332,23 @@ def _voxels_of_run(name: SceneName, run: RunHistory) -> RunVoxels:
     return RunVoxels(name, run, folder.scene(), best, plan.eta(best["fitness"]) if plan.trials else None)
 
 
-def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> FigureGrid:
+def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> Figure:
     """Draw a row for each scene, a column for each method (the paper's fourth figure).
 
     All views of an object have one camera.
     """
     everything = [one for row in rows for one in row]
     drawn = [method for method in methods if any(one.run.spec.method == method for one in everything)]
-    handles = _voxel_legend(everything)
-    grid = FigureGrid(
-        len(rows),
-        len(drawn),
-        (VOXEL_PANEL_INCHES, VOXEL_PANEL_INCHES),
-        legend_rows=1,
-        space_above=0.84,
-        space_below=0.1,
-        space_beside=0.3,
-        left=0.3,
-        least_width=0.4 + 1.75 * len(handles),
-    )
-    for number, row in enumerate(rows):
+    title = "Where methods had successes: cells of 1 cm, by the most robust success"
+    figure, panels = panel_figure(len(rows), len(drawn), VOXEL_PANEL, title, _voxel_legend(everything))
+    for row, row_panels in zip(rows, panels, strict=True):
         beside = [one for one in everything if one.name.object == row[0].name.object]
         largest = max(beside, key=lambda one: len(one.best))
         azimuth = best_azimuth(largest.scene, largest.best)
-        grid.row_heading(number, row[0].name.words)
         for one in row:
-            axes = grid.axes(number, drawn.index(one.run.spec.method))
+            axes = row_panels[drawn.index(one.run.spec.method)]
             _draw_cells(axes, one, azimuth, [other.places for other in beside])
-    grid.title("Where methods had successes", "Cells of 1 cm that held the hand, by the most robust success.")
-    grid.legend(handles, len(handles), length=1.0)
-    return grid
+    return figure
 
 
 def _draw_cells(axes: Axes, one: RunVoxels, azimuth: float, beside: Sequence[NDArray[np.int64]]) -> None:
@@ -318,10 +357,12 @@ def _draw_cells(axes: Axes, one: RunVoxels, azimuth: float, beside: Sequence[NDA
     found = one.words + ("" if view.is_uncut else "; cut open")
     found += "" if view.block == 1 else f"; blocks of {view.block} cm"
     run = f"seed {one.run.spec.seed}, {one.run.evaluations:,} evaluations"
+    axes.set_visible(True)
     show_view(axes, view, "bicubic")
     axes_triad(axes, view, length=TRIAD_LENGTH)
     method = one.run.spec.method
-    panel_heading(axes, method, found, run, color=hue_of(method))
+    heading = figure_text(f"{one.name.words}\n{method}\n{found}\n{run}")
+    axes.set_title(heading, loc="left", size=8, color=hue_of(method))
 
 
 def _hues_of_eta(eta: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -5,24 +5,27 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
 from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_coordinator.storage.tables import Row, Value, aligned_text, csv_text
-from qdgrasp_protocol.errors import FolderError, UnknownName
-from qdgrasp_tools.report.figure_grid import FigureGrid, family_of
+from qdgrasp_protocol.errors import FolderError
 from qdgrasp_tools.report.figures import (
     COMPARED_METHODS,
     draw_curves,
     draw_nu,
     draw_voxels,
     drawn_methods,
+    family_of,
     nu_distributions,
     run_voxels,
+    write_figure,
 )
 from qdgrasp_tools.report.run_groups import (
     CurvePanel,
     RunGroup,
+    RunHistory,
     SceneName,
     find_runs,
     group_runs,
@@ -31,7 +34,6 @@ from qdgrasp_tools.report.run_groups import (
     read_histories,
     scene_panels,
 )
-from qdgrasp_tools.report.run_history import RunHistory
 
 REPORT_FOLDER = "analysis"
 RUNS_FILE, CURVES_FILE = "runs.csv", "curves.csv"
@@ -80,21 +82,12 @@ def _lines(panel: CurvePanel) -> Iterable[tuple[str, ...]]:
         yield *words, "coverage" if panel.is_share else "cells", number(np.mean(reached)), between
 
 
-def write_report(
-    path: Path,
-    out: Path,
-    *,
-    references: Sequence[Path] = (),
-    methods: Sequence[str] = (),
-    objects: Sequence[str] = (),
-) -> CampaignReport:
+def write_report(path: Path, out: Path, references: Sequence[Path] = ()) -> CampaignReport:
     """Draw and tabulate a campaign, a folder of runs or one run, also while it goes on.
 
     `out` is a new folder, an empty one, or that of an earlier analysis; `references` are sets that take
-    precedence over the published ones on the asset path; `methods` are those whose cells are drawn (none: the
-    compared ones, or what found the most cells), on `objects` (none: all). Raises FolderError if there is no
-    run, none has recorded an evaluation, one cannot be read, or `out` cannot be written, and UnknownName if
-    no run is of such a method or object.
+    precedence over the published ones on the asset path. Raises FolderError if there is no run, none has
+    recorded an evaluation, one cannot be read, or `out` cannot be written.
     """
     folder = OutFolder(out, force=True, is_kind=is_ours)
     folder.check()
@@ -103,46 +96,37 @@ def write_report(
     begun = [group for group in groups if any(run.evaluations for run in group.runs)]
     if not begun:
         raise FolderError(f"No run in {path} has recorded an evaluation yet; there is nothing to draw.")
-    for kind, asked, known in (
-        ("method", methods, {group.method for group in groups}),
-        ("object", objects, {group.scene.object for group in groups}),
-    ):
-        for name in asked:
-            if name not in known:
-                raise UnknownName(f"{kind} in this campaign", name, sorted(known))
     scenes, hands = scene_panels(begun), hand_panels(begun)
     pooled = [panel for panel in hands if panel.scene not in {one.scene for one in scenes}]
-    figures = _figures(begun, methods, objects)
+    figures = _figures(begun)
     left_out = {name: why for name, why in figures.items() if isinstance(why, str)}
     with folder.writing() as made:
         made.mkdir()
         for name, figure in figures.items():
-            if isinstance(figure, FigureGrid):
-                figure.write(made / name)
+            if isinstance(figure, Figure):
+                write_figure(figure, made / name)
         (made / RUNS_FILE).write_text(csv_text(run_rows(groups)), encoding="utf-8")
         (made / CURVES_FILE).write_text(csv_text(curve_rows([*scenes, *pooled])), encoding="utf-8")
     return CampaignReport(out, groups, scenes, left_out, [run.path.absolute().name for run in copies])
 
 
-def _figures(
-    begun: Sequence[RunGroup], methods: Sequence[str], objects: Sequence[str]
-) -> dict[str, FigureGrid | str]:
+def _figures(begun: Sequence[RunGroup]) -> dict[str, Figure | str]:
     """Draw each figure of the paper; returns the reason where one has nothing to show."""
     searched = {group.scene for group in begun if family_of(group.method) != "rand"}
     compared = hand_panels([group for group in begun if group.method in COMPARED_METHODS])
     variants = hand_panels([group for group in begun if group.scene in searched])
     distributions = nu_distributions(begun)
-    drawn = list(dict.fromkeys(methods)) or drawn_methods(begun)
-    voxels = run_voxels(begun, drawn, objects)
+    drawn = drawn_methods(begun)
+    voxels = run_voxels(begun, drawn)
     none = ("no method of it is here", "no run is of a search", "no success has a nu", "nothing was found")
-    found: tuple[FigureGrid | Sequence[object], ...] = (
+    found: tuple[Figure | Sequence[object], ...] = (
         compared and draw_curves(compared, "Searches and standard sampling schemes"),
         variants and draw_curves(variants, "Searches with and without priors"),
         distributions and draw_nu(distributions),
         voxels and draw_voxels(voxels, drawn),
     )
     return {
-        name: one if isinstance(one, FigureGrid) else why
+        name: one if isinstance(one, Figure) else why
         for name, one, why in zip(FIGURES, found, none, strict=True)
     }
 

@@ -5,7 +5,6 @@ The context says which synergy a genome chose and how many trials a success has.
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from math import degrees
 from pathlib import Path
 
 import msgspec
@@ -17,7 +16,6 @@ from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.cells import UNKNOWN_GENOMES, GenomeReader, cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, recorded_margins
-from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.metrics.successes import TrialPlan, eta_error
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import other_tables, verdicts
@@ -56,10 +54,7 @@ def row_context(folder: RunFolder, journal: Journal) -> RowContext:
     return RowContext(TrialPlan.of(folder.spec), genome_reader(folder))
 
 
-ROWS_READ_AT_ONCE = 1 << 16
-"""Rows read at once, from the end of the journal on, for the nearest success."""
 POSE_FRAME = "object's centre-of-mass frame"
-CONTACT_HEAD = f"{'link':<24} {'point x y z [m]':<26}   {'normal x y z':<26}   {'force [N]':>8}"
 OUTCOME_MEANINGS = {
     Outcome.ERROR: "the simulator failed three times",
     Outcome.DEAD_END: "there was no pose to simulate",
@@ -73,14 +68,11 @@ OUTCOME_MEANINGS = {
 
 
 class NoSuchRow(InputError):
-    """A number that no row of a journal has; `nearest` is the nearest success, or None."""
+    """A number that no row of a journal has."""
 
-    def __init__(self, folder: Path, number: int, rows: int, nearest: int | None) -> None:
+    def __init__(self, folder: Path, number: int, rows: int) -> None:
         there = f"it has {rows}, numbered from 0" if rows else "it has none yet"
-        found = "none of them a success" if nearest is None else f"and the nearest success is {nearest}"
-        super().__init__(
-            f"The journal of {folder} has no row {number}: {there}{f', {found}' if rows else ''}."
-        )
+        super().__init__(f"The journal of {folder} has no row {number}: {there}.")
 
 
 class ReportedPose(Struct, frozen=True, kw_only=True):
@@ -92,15 +84,6 @@ class ReportedPose(Struct, frozen=True, kw_only=True):
     position: tuple[float, ...]
     """x, y, z [m]."""
     quaternion_xyzw: tuple[float, ...]
-
-    @property
-    def lines(self) -> list[str]:
-        """The pose in words, line by line."""
-        return [
-            f"x y z  {_numbers(self.position)} m",
-            f"qx qy qz qw  {_numbers(self.quaternion_xyzw)}",
-            f"of link '{self.link}' in the {self.frame}",
-        ]
 
 
 class JointPosition(Struct, frozen=True, kw_only=True):
@@ -123,12 +106,6 @@ class ReportedContact(Struct, frozen=True, kw_only=True):
     """Unit, into the object."""
     force: float
     """Along the normal [N]."""
-
-    @property
-    def line(self) -> str:
-        """The contact in words."""
-        point, normal = (" ".join(f"{value:8.4f}" for value in part) for part in (self.point, self.normal))
-        return f"{self.link:<24} {point}   {normal}   {self.force:8.3g}"
 
 
 class GeneValue(Struct, frozen=True, kw_only=True):
@@ -214,37 +191,38 @@ class RowReport(Struct, frozen=True, kw_only=True):
     """Outcome and fitness in other engines that the run has a table of, in words."""
 
     @property
-    def is_success(self) -> bool:
-        """True if a finger touches the object after closing."""
-        return Outcome[self.outcome.upper()].is_success
-
-    @property
     def table(self) -> str:
-        """All fields in words, one to a line."""
-        values = msgspec.structs.asdict(self)
-        values["outcome"] = ": ".join(
-            filter(None, [self.outcome, values.pop("meaning"), values.pop("reason")])
-        )
-        values["number"] = f"{self.number} of {values.pop('rows')} rows, counted from 0"
-        values["eta"] = None if self.eta is None else f"{self.eta:.4g}"
-        values["eta_error"] = None if self.eta_error is None else f"{self.eta_error:.2g}"
-        values["nu"] = None if self.nu is None else f"{self.nu:.4g} rad"
-        values["penetration"] = f"{self.penetration:.6g} m"
-        values["surface_point"] = None if self.surface_point is None else f"{_numbers(self.surface_point)} m"
-        values["com_in_mesh"] = f"{_numbers(self.com_in_mesh)} m"
-        values["joints"] = [f"{one.name}  {one.position:.6g} {one.unit}" for one in self.joints]
-        values["genome"] = [f"{one.name}  {one.gene:.6g} for {one.value:.6g}" for one in self.genome]
-        values["base_to_object"] = None if self.base_to_object is None else self.base_to_object.lines
-        unknown = "not recorded" if self.is_success else None
-        values["settled"] = unknown if self.settled is None else self.settled.lines
-        others = values.pop("elsewhere")
-        values |= {f"in_{name}": words for name, words in others.items()}
-        values["moved"] = unknown if self.moved is None else f"{1000 * self.moved:.3g} mm"
-        values["margin"] = unknown if self.margin is None else f"{self.margin:.3g}"
-        values["turned"] = unknown if self.turned is None else f"{degrees(self.turned):.3g} deg"
-        contacts = [CONTACT_HEAD, *(one.line for one in self.contact_points)]
-        values["contact_points"] = contacts if self.contact_points else unknown
+        """All fields in words, one to a line, and one for each item of a list."""
+        values = msgspec.to_builtins(self)
         return "\n".join(line for name, value in values.items() for line in _lines(name, value))
+
+
+UNITS = dict.fromkeys(("penetration", "moved", "com_in_mesh", "surface_point"), "m") | {
+    "turned": "rad",
+    "nu": "rad",
+}
+"""Units of fields, where these have one."""
+
+
+def _lines(name: str, value: object) -> Iterator[str]:
+    """Yield a field in words."""
+    items = value if isinstance(value, tuple) and value and isinstance(value[0], dict) else (value,)
+    for place, item in enumerate(items):
+        unit = "" if item is None else f" {UNITS.get(name, '')}".rstrip()
+        yield f"{name.replace('_', ' ') if not place else '':<16} {_words(item)}{unit}"
+
+
+def _words(value: object) -> str:
+    match value:
+        case dict() if value:
+            return "  ".join(f"{name} {_words(one)}" for name, one in value.items())
+        case tuple() if value:
+            return " ".join(map(_words, value))
+        case None | "" | () | dict():
+            return "none"
+        case float():
+            return f"{value:.6g}"
+    return str(value)
 
 
 def row_report(folder: RunFolder, number: int) -> RowReport:
@@ -290,7 +268,7 @@ def _other_verdicts(folder: RunFolder, number: int, row: np.void) -> dict[str, s
 def row_at(folder: RunFolder, journal: Journal, number: int) -> np.void:
     """Return the row of a number in a folder's journal; raises NoSuchRow."""
     if not 0 <= number < journal.count:
-        raise NoSuchRow(folder.path, number, journal.count, _last_success(journal))
+        raise NoSuchRow(folder.path, number, journal.count)
     row: np.void = np.concatenate(list(journal.blocks(number, number + 1)))[0]
     return row
 
@@ -329,18 +307,6 @@ def _trial_fitness(journal: Journal, row: np.void, behind: range, most: int) -> 
         if len(found) >= most or rows["generation"][-1] != row["generation"]:
             break
     return found
-
-
-def _last_success(journal: Journal) -> int | None:
-    """Return the last success, the nearest to any number behind the last row."""
-    stop = journal.count
-    while stop > 0:
-        first = max(0, stop - ROWS_READ_AT_ONCE)
-        here = np.flatnonzero(success_mask(np.concatenate(list(journal.blocks(first, stop)))))
-        if len(here):
-            return first + int(here[-1])
-        stop = first
-    return None
 
 
 def _closing_fields(row: np.void, scene: Scene) -> dict[str, object]:
@@ -387,25 +353,6 @@ def _gene_values(row: np.void, scene: Scene, prior: str) -> Iterator[GeneValue]:
     (values,) = known.values(row["genome"][None]).tolist()
     for name, gene, value in zip(known.layout.names, row["genome"].tolist(), values, strict=False):
         yield GeneValue(name=name, gene=gene, value=value)
-
-
-def _lines(name: str, value: object) -> Iterator[str]:
-    """Yield a field in words; a list has a line for each item."""
-    match value:
-        case list():
-            lines = value or ["none"]
-        case tuple():
-            lines = [_numbers(value)]
-        case None | "":
-            lines = ["none"]
-        case _:
-            lines = [f"{value:g}" if isinstance(value, float) else str(value)]
-    for place, line in enumerate(lines):
-        yield f"{name.replace('_', ' ') if not place else '':<16} {line}"
-
-
-def _numbers(values: tuple[float, ...]) -> str:
-    return " ".join(f"{value:.6g}" for value in values)
 
 
 def genome_reader(folder: RunFolder) -> GenomeReader:

@@ -1,11 +1,13 @@
-"""Groups the runs of a campaign by scene and method; quartile curves over evaluations.
+"""Reads what runs found, and groups them by scene and method; quartile curves.
 
-Runs of one hand are pooled over its objects: a sample is then what a method reached with one seed on all of
-them, on average.
+Nominal rows are counted; a success's randomised trials give its eta and nothing else. Runs of one hand are
+pooled over its objects: a sample is then what a method reached with one seed on all of them, on average.
 """
 
+import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +17,108 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import bootstrap
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceLookup
+from qdgrasp_coordinator.metrics.run_stats import RunCounter
+from qdgrasp_coordinator.metrics.success_metrics import (
+    EtaSummary,
+    NuSummary,
+    StepSeries,
+    SuccessMetrics,
+    cell_growth,
+    reference_growth,
+    released_growth,
+)
+from qdgrasp_coordinator.metrics.successes import TrialPlan, find_successes, join_successes
 from qdgrasp_coordinator.search import registry
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import RUNS, SPEC
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
-from qdgrasp_protocol.rows import GIVEN
-from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.report.run_history import RunHistory, read_history
+from qdgrasp_protocol.rows import GIVEN, Outcome
+from qdgrasp_protocol.spec import FirstWeights, RunSpec
+
+MethodVariant = tuple[str, str]  # A method, and the words that tell its variant from others
+
+
+@dataclass(frozen=True)
+class RunHistory:
+    """Growth of one run over its evaluations; without a reference set there is no coverage."""
+
+    path: Path
+    spec: RunSpec
+    target: CoverageTarget
+    counts: RunCounter
+    """The sums over its rows."""
+    cells: StepSeries
+    """Distinct 1 cm cells with a success."""
+    robust_cells: StepSeries
+    """Distinct 1 cm cells with a robust success."""
+    found: StepSeries | None
+    """Distinct entries of the reference set."""
+    robust_found: StepSeries | None
+    """Entries of fitness 2, found by robust successes."""
+    published: StepSeries | None
+    """Entries as the released code counts them; None for a hand that it does not have."""
+    qd_score: float
+    nu: NuSummary
+    eta: EtaSummary | None
+    """Eta of the successes whose trials are recorded; None where the protocol has none."""
+    cpu_seconds: float
+
+    @property
+    def evaluations(self) -> int:
+        """Number of counted evaluations."""
+        return self.counts.evaluations
+
+    @property
+    def complete(self) -> bool:
+        """True if it has spent its budget or reached its goal."""
+        return self.counts.finished is not None
+
+    def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """Share of the reference set found after so many evaluations; NaN without one."""
+        if self.found is None or not self.target.size:
+            return np.full(np.shape(evaluations), np.nan)
+        return self.found.after(evaluations) / self.target.size
+
+    def cell_count(self, evaluations: ArrayLike) -> NDArray[np.float64]:
+        """Number of success cells after so many evaluations."""
+        return self.cells.after(evaluations).astype(np.float64)
+
+
+def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
+    """Read what a run found, also while it goes on; FolderError if its journal cannot be read."""
+    spec = folder.spec
+    with folder.journal() as journal:
+        plan, counts = TrialPlan.of(spec), RunCounter.of(spec)
+        blocks = counts.counting(chain([journal.shape.empty(0)], journal.blocks()), spec)
+        found, cpu_seconds = (
+            join_successes([*find_successes(blocks, plan, spec.overlaps)]),
+            journal.cpu_seconds,
+        )
+    metrics = SuccessMetrics(plan)
+    metrics.add(found)
+    known, archive = target.reference, target.archive
+    return RunHistory(
+        path=folder.path,
+        spec=spec,
+        target=target,
+        counts=counts,
+        cells=cell_growth(found),
+        robust_cells=cell_growth(found, Outcome.HELD),
+        found=None if known is None else reference_growth(found, known),
+        robust_found=None if known is None else reference_growth(found, known.robust, Outcome.HELD),
+        published=None if known is None or archive is None else released_growth(found, known, archive),
+        qd_score=metrics.qd_score,
+        nu=metrics.nu,
+        eta=metrics.eta,
+        cpu_seconds=cpu_seconds,
+    )
+
 
 HAND_ORDER = ("panda", "panda_2f", "robotiq_2f", "barrett", "bh280", "allegro", "shadow")
 """The paper's order of the hands; others follow."""
 GROUP_KEYS = {"gripper", "object", "about", "protocol", "engine", "method", "seed", "surface_seed"}
-GROUP_KEYS |= {"evaluations", "first_weights", "mesh"}
+GROUP_KEYS |= {"evaluations"}
 """Keys of a spec that name the group of a run, or may differ between its runs."""
 
 
@@ -59,7 +150,7 @@ class RunGroup:
     """At least one, by seed."""
 
     @property
-    def arm(self) -> tuple[str, str]:
+    def arm(self) -> MethodVariant:
         """Method and variant: the same on every scene."""
         return self.method, self.variant
 
@@ -96,7 +187,7 @@ def read_histories(
 
     These, the second list, are no samples of their own.
     """
-    known: dict[tuple[str, str], CoverageTarget] = {}
+    known: dict[MethodVariant, CoverageTarget] = {}
     there, longest = [], dict[Any, RunHistory]()
     for folder in folders:
         scene = folder.bundle().digest if folder.has_bundle() else ""
@@ -139,7 +230,7 @@ def _scene_order(scene: SceneName) -> tuple[Any, ...]:
 def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator[RunGroup]:
     """Yield one group for each setting that occurs, told apart by their differences."""
     settings = [_settings(run.spec) for run in runs]
-    differing = [key for key in settings[0] if len({str(setting[key]) for setting in settings}) > 1]
+    differing = [key for key in settings[0] if len({setting[key] for setting in settings}) > 1]
     parts: dict[str, list[RunHistory]] = {}
     for run, setting in zip(runs, settings, strict=True):
         words = ", ".join(f"{key.replace('_', ' ')} {setting[key]}" for key in differing)
@@ -148,8 +239,18 @@ def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator
         yield RunGroup(scene, method, words, tuple(sorted(members, key=lambda run: run.spec.seed)))
 
 
-def _settings(spec: RunSpec) -> dict[str, Any]:
-    return {key: value for key, value in msgspec.structs.asdict(spec).items() if key not in GROUP_KEYS}
+def _settings(spec: RunSpec) -> dict[str, str]:
+    values = msgspec.structs.asdict(spec)
+    return {key: _setting_words(values[key]) for key in values if key not in GROUP_KEYS}
+
+
+def _setting_words(value: object) -> str:
+    """Return a value of a spec in words; of weights, the first digits of their digest."""
+    if isinstance(value, FirstWeights):
+        return hashlib.sha256(msgspec.json.encode(value)).hexdigest()[:8]
+    if isinstance(value, msgspec.Struct):
+        return " ".join(f"{key}={one}" for key, one in msgspec.to_builtins(value).items())
+    return str(value)
 
 
 def grouped_by(groups: Iterable[RunGroup], *, by_object: bool) -> dict[SceneName, list[RunGroup]]:
@@ -183,7 +284,7 @@ class QuartileCurve:
     high: NDArray[np.float64]
 
     @property
-    def arm(self) -> tuple[str, str]:
+    def arm(self) -> MethodVariant:
         """Method and variant."""
         return self.method, self.variant
 
@@ -241,7 +342,7 @@ def hand_panels(groups: Sequence[RunGroup]) -> list[CurvePanel]:
     """
     found = []
     for hand, here in grouped_by(groups, by_object=False).items():
-        arms: dict[tuple[str, str], dict[str, RunGroup]] = {}
+        arms: dict[MethodVariant, dict[str, RunGroup]] = {}
         for group in here:
             arms.setdefault(group.arm, {})[group.scene.object] = group
         common = sorted(set.intersection(*(set(objects) for objects in arms.values())))
@@ -263,7 +364,7 @@ def _pooled(groups: Sequence[RunGroup]) -> list[Sample]:
     return [tuple(runs[seed] for runs in seeds) for seed in common]
 
 
-def _panel(scene: SceneName, arms: dict[tuple[str, str], list[Sample]]) -> CurvePanel:
+def _panel(scene: SceneName, arms: dict[MethodVariant, list[Sample]]) -> CurvePanel:
     targets = [run.target for samples in arms.values() for sample in samples for run in sample]
     why = next((target.why for target in targets if not target.size), "")
     empty = CurvePanel(scene, not why, why, ())

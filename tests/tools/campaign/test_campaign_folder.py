@@ -26,11 +26,11 @@ from qdgrasp_tools.campaign.campaign_file import Campaign, make_campaign, read_c
 from qdgrasp_tools.campaign.campaign_folder import (
     CampaignRunQueue,
     begin_campaign,
-    campaign_summary,
     extend_run,
     open_campaign,
     run_listing,
 )
+from qdgrasp_tools.campaign.summaries import campaign_summary
 
 
 def finished_listing(path: Path, spec: RunSpec) -> RunListing | None:

@@ -1,7 +1,5 @@
 """The table of a campaign's objects: states, sums, and why some got little."""
 
-import csv
-import io
 from typing import Any
 
 import pytest
@@ -12,14 +10,11 @@ from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
 from qdgrasp_tools.campaign.object_library import SkippedObject
-from qdgrasp_tools.campaign.object_table import (
+from qdgrasp_tools.campaign.summaries import (
     ObjectRun,
-    least_objects,
     list_objects,
     main_loss,
-    object_quantiles,
     select_objects,
-    to_csv,
     with_events,
 )
 
@@ -111,18 +106,6 @@ def test_an_object_is_judged_by_its_finished_runs_alone() -> None:
     assert not list_objects([run("a"), run("x", totals=OVERLAPPING, is_done=False)])[1].little
 
 
-def test_an_object_of_which_no_more_cells_are_found_is_saturated() -> None:
-    early = structs.replace(GOOD, evaluations=1200)
-    goal = {"spec": {"no_new_cell": 500}}
-    assert one(run(totals=early, **goal)).warnings == [
-        "saturated: the last 500 evaluations found no new cell"
-    ]
-    assert not one(run(**goal)).warnings  # its budget is spent
-    assert not one(run(totals=early)).warnings  # there was no such goal
-    assert not one(run(totals=early, **goal), waiting(seed=1, **goal)).warnings
-    assert not one(run(totals=structs.replace(OVERLAPPING, evaluations=500), **goal)).warnings
-
-
 def test_the_greatest_loss_is_named() -> None:
     mixed = totals(simulated=2000, dead_ends=500, overlaps=1500, successes=1990, grasps=990)
     assert main_loss(mixed) == "the open hand overlaps it in 1500 of 4000 poses"
@@ -179,19 +162,3 @@ def names(listings: list[ObjectListing]) -> list[str]:
 )
 def test_all_words_of_a_search_are_to_be_found(search: str, found: list[str]) -> None:
     assert names(select_objects(OBJECTS, search)) == found
-
-
-def test_quantiles_and_the_least_are_of_objects_with_a_finished_run() -> None:
-    found = object_quantiles(OBJECTS)
-    assert structs.astuple(found["grasps"]) == (0, 750, 1000, 1000, 1000)
-    assert found["cells"].words == "0 / 150 / 200 / 200 / 200"
-    assert names(least_objects(OBJECTS, 2)) == ["x", "part_2"]
-    assert object_quantiles([OBJECTS[4]]) == {}
-
-
-def test_a_table_in_csv_has_all_figures() -> None:
-    rows = list(csv.DictReader(io.StringIO(to_csv(OBJECTS).decode())))
-    assert [row["object"] for row in rows] == names(OBJECTS)
-    assert (rows[3]["overlaps"], rows[3]["little"]) == ("3900", OBJECTS[3].little)
-    assert rows[5]["warnings"] == "left out: it is not closed; mend: --remesh"
-    assert rows[0]["hands"] == "panda"

@@ -16,7 +16,7 @@ from qdgrasp_coordinator.metrics.cells import MIDDLES, UNKNOWN_GENOMES, GenomeRe
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.campaign.ranking import (
+from qdgrasp_tools.campaign.source_runs import (
     best_of_kinds,
     is_reranking,
     kinds_of_run,

@@ -25,8 +25,8 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import FirstWeights, RunSpec
-from qdgrasp_tools.campaign import warm_start
-from qdgrasp_tools.campaign.warm_start import WarmStart
+from qdgrasp_tools.campaign import source_runs
+from qdgrasp_tools.campaign.source_runs import WarmStart
 from qdgrasp_tools.cli.main import app
 
 SPACE = space("valued")
@@ -66,10 +66,10 @@ def ran() -> dict[int, tuple[ValueSearch, Rows]]:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ran) -> Record:
     """Records runs of the jaw, whose searches know the space of the make-believe object."""
-    monkeypatch.setattr(warm_start, "search_space", lambda *_: SPACE)
+    monkeypatch.setattr(source_runs, "search_space", lambda *_: SPACE)
     monkeypatch.setattr(run_plan, "row_shape", lambda *_: shape(SPACE))
     own = SimpleNamespace(on_carrier=lambda _: jaw("jaw"))
-    monkeypatch.setattr(warm_start, "find_gripper", lambda _: own)
+    monkeypatch.setattr(source_runs, "find_gripper", lambda _: own)
 
     def made(name: str, rows: int = 10**6, gripper: str = "jaw", seed: int = 0, **changed: Any) -> RunFolder:
         spec = msgspec.structs.replace(SPEC, seed=seed, **changed)

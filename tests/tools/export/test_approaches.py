@@ -16,7 +16,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.campaign.ranking import reachable_grasps
+from qdgrasp_tools.campaign.source_runs import reachable_grasps
 from qdgrasp_tools.export.exporter import FORMATS, export_run
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run, select_grasps
 from qdgrasp_tools.export.grasp_set import Grasps

@@ -14,7 +14,7 @@ from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
+from qdgrasp_tools.campaign.summaries import ObjectRun, list_objects
 from qdgrasp_tools.monitor.feed import Feed, RecordFeed
 from qdgrasp_tools.monitor.job_model import JobView
 

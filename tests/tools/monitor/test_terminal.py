@@ -13,7 +13,7 @@ from tests.tools.monitor.sample_jobs import ENDPOINT, event, job, shown, worker
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.object_library import SkippedObject
-from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
+from qdgrasp_tools.campaign.summaries import ObjectRun, list_objects
 from qdgrasp_tools.monitor import terminal
 from qdgrasp_tools.monitor.terminal import ScreenSelection, ScreenState, parse_keys
 

@@ -117,15 +117,13 @@ def test_a_success_is_told_with_the_pose_after_closing_the_motion_and_its_contac
     (contact,) = found.contact_points
     assert (contact.link, contact.normal, contact.force) == ("left_finger", (0, 1, 0), 12.5)
     assert contact.point == pytest.approx((0.01, 0, 0.02), abs=1e-4)
-    for words in ("\nmoved            ", " mm\n", "\nturned           5.73 deg\n", "left_finger  "):
-        assert words in found.table
+    assert "\ncontact points   link left_finger  point 0.01" in found.table
 
 
 def test_of_a_success_without_a_settled_pose_it_is_said_that_it_is_not_recorded(made: Made) -> None:
     found = row_report(made.folder, 1)
     assert (found.settled, found.moved, found.turned, found.contact_points) == (None, None, None, ())
-    assert "\nsettled          not recorded\n" in found.table
-    assert "\nsettled          none\n" in row_report(made.folder, 4).table
+    assert "\nsettled          none\n" in found.table
 
 
 def test_a_joint_that_turns_is_told_in_radians(tmp_path: Path) -> None:
@@ -175,12 +173,11 @@ def test_eta_is_told_once_all_trials_are_there(tmp_path: Path, missing: int) -> 
 @pytest.mark.parametrize(
     ("outcomes", "words"),
     [
-        (OUTCOMES, "has no row 7: it has 5, numbered from 0, and the nearest success is 3."),
-        (OUTCOMES[:1], "has no row 7: it has 1, numbered from 0, none of them a success."),
+        (OUTCOMES, "has no row 7: it has 5, numbered from 0."),
         ([], "has no row 7: it has none yet."),
     ],
 )
-def test_a_number_that_no_row_has_is_refused_with_the_nearest(tmp_path, outcomes, words) -> None:
+def test_a_number_that_no_row_has_is_refused(tmp_path, outcomes, words) -> None:
     with pytest.raises(NoSuchRow, match=words):
         row_report(run_of(tmp_path / "mug", made_scene(), outcomes).folder, 7)
 
@@ -190,4 +187,4 @@ def test_a_person_reads_every_field(made: Made) -> None:
         table = row_report(made.folder, number).table
         for name in ("outcome", "descriptor", "base to object", "nu", "genome", "scene", "generation", "eta"):
             assert f"\n{name:<16} " in table
-    assert "of link 'palm' in the object's centre-of-mass frame" in row_report(made.folder, 1).table
+    assert "link palm  frame object's centre-of-mass frame" in row_report(made.folder, 1).table

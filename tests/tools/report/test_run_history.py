@@ -16,7 +16,7 @@ from qdgrasp_coordinator.metrics.reference_coverage import (
 from qdgrasp_coordinator.metrics.success_metrics import StepSeries, reference_growth, released_growth
 from qdgrasp_coordinator.metrics.successes import Successes, all_successes
 from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_tools.report.run_history import RunHistory, read_history
+from qdgrasp_tools.report.run_groups import RunHistory, read_history
 
 GRID = np.stack(np.meshgrid(*[np.arange(-4, 3)] * 3), axis=-1).reshape(-1, 3).astype(np.int64)
 KNOWN = ReferenceSet("block", GRID, (np.arange(len(GRID)) % 3).astype(np.uint8))

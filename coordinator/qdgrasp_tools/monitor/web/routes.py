@@ -25,7 +25,7 @@ from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.keys import parse_number
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.text import printable
-from qdgrasp_tools.campaign.object_table import count_states, select_objects, with_events
+from qdgrasp_tools.campaign.summaries import count_states, select_objects, with_events
 from qdgrasp_tools.monitor.feed import Feed
 from qdgrasp_tools.monitor.job_model import MOST_WORKERS, JobView
 from qdgrasp_tools.monitor.prometheus import exposition

@@ -23,7 +23,7 @@ from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
-from qdgrasp_tools.campaign.object_table import ObjectRun, list_objects
+from qdgrasp_tools.campaign.summaries import ObjectRun, list_objects
 from qdgrasp_tools.rendering.views import object_picture
 
 Page = Any
