@@ -107,7 +107,7 @@ SVG_SALT = "qdgrasp"  # Of the names in an SVG, so that the same figure gives th
 def panel_figure(
     rows: int, columns: int, panel: tuple[float, float], title: str, handles: Sequence[Line2D] = ()
 ) -> tuple[Figure, NDArray[Any]]:
-    """Return a figure with a title and a legend, and its panels (rows, columns), hidden at first."""
+    """Return a figure with a title and a legend, and its hidden panels (rows, columns)."""
     size = max(6.4, columns * panel[0]), 1.0 + rows * panel[1]
     figure = Figure(figsize=size, facecolor="white", layout="constrained")
     figure.suptitle(figure_text(title), x=0.01, ha="left", size=12, weight="bold", color=INK)
