@@ -299,8 +299,7 @@ def view(
     check_packages("The page", *EXTRAS["monitor"])
     with lifetime("qdgrasp-view") as stop:
         from qdgrasp_tools.monitor.records import FolderIndex
-        from qdgrasp_tools.monitor.web.routes import folder_routes
-        from qdgrasp_tools.monitor.web.server import serve
+        from qdgrasp_tools.monitor.web.server import folder_routes, serve
 
         def opened(address: str) -> None:
             echo(f"The grasps are shown at {address} until Ctrl-C.")

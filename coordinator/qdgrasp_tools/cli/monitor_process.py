@@ -132,8 +132,8 @@ def stream_looks(feed: Feed, endpoint: str, stop: Stop) -> None:
 
 def serve_page(bus: Bus, feed: Feed, web: str, token: str, stop: Stop) -> None:
     """Serve the page; its packages are loaded for it alone."""
-    from qdgrasp_tools.monitor.web.routes import live_routes
     from qdgrasp_tools.monitor.web.run_cache import JobCaches
+    from qdgrasp_tools.monitor.web.server import live_routes
     from qdgrasp_tools.monitor.web.server import serve as serve_routes
 
     host, port = host_and_port(web)

@@ -40,9 +40,8 @@ from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
 from qdgrasp_tools.monitor.records import JournalId, RecordPage, row_commands
 from qdgrasp_tools.monitor.web import scene_data
-from qdgrasp_tools.monitor.web.routes import live_routes
 from qdgrasp_tools.monitor.web.run_cache import JobCaches
-from qdgrasp_tools.monitor.web.server import Access, application, serve
+from qdgrasp_tools.monitor.web.server import Access, application, live_routes, serve
 
 HERE = "127.0.0.1"
 BUDGET = 90_000

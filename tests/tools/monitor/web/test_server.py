@@ -27,9 +27,8 @@ from qdgrasp_protocol.errors import EndpointError, ImpossibleValue
 from qdgrasp_protocol.process import Stop
 from qdgrasp_tools.monitor.job_model import MOST_WORKERS
 from qdgrasp_tools.monitor.records import FolderIndex
-from qdgrasp_tools.monitor.web import routes
-from qdgrasp_tools.monitor.web.routes import folder_routes
-from qdgrasp_tools.monitor.web.server import Access, application, serve
+from qdgrasp_tools.monitor.web import server
+from qdgrasp_tools.monitor.web.server import Access, application, folder_routes, serve
 
 
 def test_the_state_tells_what_is_known_of_all_jobs(feed: FakeFeed) -> None:
@@ -89,7 +88,7 @@ def test_cells_are_asked_for_from_a_number_on(feed: FakeFeed, since: str, read: 
 
 
 def test_browsers_get_the_state_again_and_again_until_there_are_too_many(feed, monkeypatch) -> None:
-    monkeypatch.setattr(routes, "MAX_BROWSERS", 2)
+    monkeypatch.setattr(server, "MAX_BROWSERS", 2)
     with serving(feed) as address, ExitStack() as stack:
         opened = [urlopen(f"{address}/api/stream", timeout=PATIENCE) for _ in range(2)]  # noqa: S310 - our own
         streams = [stack.enter_context(each) for each in opened]
@@ -102,7 +101,7 @@ def test_browsers_get_the_state_again_and_again_until_there_are_too_many(feed, m
 
 def test_of_many_workers_some_are_listed_and_all_are_counted() -> None:
     (many,) = sample_jobs.views(sample_jobs.values(workers=MOST_WORKERS + 100))
-    team: Any = routes.job_state(many)["team"]
+    team: Any = server.job_state(many)["team"]
     assert (sum(team["states"].values()), len(team["workers"])) == (MOST_WORKERS + 100, MOST_WORKERS)
 
 

@@ -13,7 +13,7 @@ from tests.tools.monitor.web.conftest import serving_routes
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_tools.monitor.records import FolderIndex
-from qdgrasp_tools.monitor.web.routes import folder_routes
+from qdgrasp_tools.monitor.web.server import folder_routes
 
 pytestmark = browser.needed
 ROWS = random_rows(60, reach=0.3)
