@@ -2,7 +2,6 @@
 
 import hashlib
 import threading
-import weakref
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from math import inf
@@ -19,7 +18,6 @@ from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RecorderClient, RowSink
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue
 from qdgrasp_coordinator.scheduler.run_registry import LoaderEvent, RunLoader, RunRegistry
@@ -51,7 +49,6 @@ class FakeRunQueue(RunQueue):
         self.extent = JobExtent.of({name: plan.evaluations if plan else 0 for name, plan in plans.items()})
         self._plans = plans
         self._left = list(plans)
-        self.pipelines: list[weakref.ref[Pipeline]] = []
         self.has_room = threading.Event()
         self.has_room.set()
 
@@ -64,9 +61,7 @@ class FakeRunQueue(RunQueue):
         plan = self._plans[name]
         if plan is None:
             raise RunFailed(name, "Its mesh is no mesh.")
-        made = make_run_plan(name, plan)
-        self.pipelines.append(weakref.ref(made.pipeline))
-        return made
+        return make_run_plan(name, plan)
 
     def put_back(self, run: str) -> None:
         self._left.insert(0, run)

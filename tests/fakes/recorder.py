@@ -6,11 +6,10 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from queue import Empty, SimpleQueue
 
 import numpy as np
 from msgspec import structs
-from tests.common import PATIENCE
+from tests.common import PATIENCE, wait_for
 from tests.fakes.messages import open_run, put
 from tests.fakes.service_thread import ServiceThread
 
@@ -18,7 +17,7 @@ from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.recorder.recorder_service import RecorderService
 from qdgrasp_coordinator.storage.journal import JournalSlice, slice_from_message, slice_to_message
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.bus import Bus
+from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
@@ -54,13 +53,18 @@ class FakeCoordinator:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._keys = Keys(JOB)
-        self._reports: SimpleQueue[Recorded] = SimpleQueue()
+        self._reports: list[Recorded] = []
         self._recorder = threading.Event()
         self.epoch = 0
         bus.watch(
             self._keys.recorder_token(), lambda _, alive: (self._recorder.clear, self._recorder.set)[alive]()
         )
-        bus.subscribe(self._keys.recorded, lambda s: self._reports.put(messages.decode(s.payload, Recorded)))
+        bus.subscribe(
+            self._keys.recorded, lambda s: self._reports.append(messages.decode(s.payload, Recorded))
+        )
+
+    def _take(self, sample: Sample) -> None:
+        self._reports.append(messages.decode(sample.payload, Recorded))
 
     def open(self, toml: str = to_toml(SPEC), job: str = JOB, **changes: object) -> Opened:
         """Open the run as soon as a recorder is there."""
@@ -108,15 +112,11 @@ class FakeCoordinator:
         return slice_from_message(messages.decode(answer, Recordable), SHAPE)
 
     def hears(self, condition: Callable[[Recorded], bool]) -> Recorded:
-        """The next report of which the condition holds."""
-        deadline = time.monotonic() + PATIENCE
-        while True:
-            try:
-                report = self._reports.get(timeout=max(0.0, deadline - time.monotonic()))
-            except Empty:
-                raise AssertionError("no such report was heard") from None
-            if condition(report):
-                return report
+        """The first report of which the condition holds, of those that were not returned before."""
+        report = wait_for(lambda: next(filter(condition, self._reports), None), "a report")
+        assert report is not None
+        self._reports.remove(report)
+        return report
 
     def hears_durable(self, number: int, run: str = "run") -> Recorded:
         return self.hears(

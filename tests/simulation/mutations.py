@@ -15,8 +15,7 @@ import msgspec
 from tests.simulation.plan import History, wild, with_bad_workers
 from tests.simulation.play import play
 
-from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder
-from qdgrasp_coordinator.recorder.recorder import Recorder, ReportSchedule
+from qdgrasp_coordinator.recorder.recorder import LockedJobFolder, Recorder
 from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
 from qdgrasp_coordinator.scheduler import batch_dispatcher as dispatching
 from qdgrasp_coordinator.scheduler import worker_registry
@@ -221,10 +220,7 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
     ("8", "progress", wild): {
         "forget before durable": [around(Outbox, "take_due", _forget_sent)],
         "send rows once": [off(Outbox, "resend")],
-        "report commits only, once": [
-            off(ReportSchedule, "keep_reporting"),
-            patch.object(Recorder, "_take_rows", _take_in_silence),
-        ],
+        "report commits only, once": [patch.object(Recorder, "_take_rows", _take_in_silence)],
         "pass over a higher epoch": [off(JobScheduler, "_on_token")],
     },
     ("7", "told in order", wild): {

@@ -10,10 +10,9 @@ from tests.simulation.network import Network, Question, World
 from tests.simulation.process import Busy, Listen, Process, Steps
 from tests.simulation.worker import JOB, KEYS
 
-from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder, RunIdentity, check_same_run
-from qdgrasp_coordinator.recorder.recorder import Recorder
+from qdgrasp_coordinator.recorder.recorder import LockedJobFolder, Recorder
 from qdgrasp_coordinator.recorder.recorder_service import LONGEST_WAIT
-from qdgrasp_coordinator.recorder.run_writer import RunWriter
+from qdgrasp_coordinator.recorder.run_writer import RunIdentity, RunWriter, check_same_run
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice, join_slices
 from qdgrasp_protocol.bus import Channel, Sample
@@ -193,9 +192,9 @@ class MemoryLockedFolder(LockedJobFolder):
 class MemoryRecorder(Recorder):
     """The real recorder, with journals in memory."""
 
-    def __init__(self, disk: MemoryDisk, job: str, disk_wait: float, now: float) -> None:
+    def __init__(self, disk: MemoryDisk, job: str, disk_wait: float) -> None:
         self._memory = disk
-        super().__init__(MemoryLockedFolder(disk, job), disk, disk_wait, now)  # type: ignore[arg-type]
+        super().__init__(MemoryLockedFolder(disk, job), disk, disk_wait)  # type: ignore[arg-type]
 
     def _recorded_platform(self) -> dict[str, str]:
         return next((file.platform for file in self._memory.files.values() if file.platform), {})
@@ -253,7 +252,7 @@ class SimulatedRecorder(Process):
         while self._disk.holder is not None:
             yield Busy(1.0)
         self._disk.holder = self
-        self.recorder = MemoryRecorder(self._disk, JOB, PATIENCE, self.now)
+        self.recorder = MemoryRecorder(self._disk, JOB, PATIENCE)
         self._opened(self.recorder)
         self.network.subscribe(self.session, KEYS.outcome())
         self.network.answer(self.session, KEYS.open)

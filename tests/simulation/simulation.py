@@ -527,8 +527,7 @@ class SimulationChecker:
             for writer in recorder.recorder.writers.values():
                 waiting = writer.expected - writer.durable
                 require(waiting <= run_writer.MOST_WAITING, "bounded memory", "rows that wait:", waiting)
-            reports = recorder.recorder._reports
-            require(set(reports._due) <= set(self._stage.plans), "bounded memory", "reports")
+            require(recorder.recorder._news <= set(self._stage.plans), "bounded memory", "reports")
 
     def _check_worker(self, worker: Worker) -> None:
         session = worker.session_of_job

@@ -3,25 +3,23 @@
 Decided without a thread or a clock (docs/bus.md, rule 8); time is passed in, in seconds of any steady clock.
 The state of a run is read from its folder, so a recorder that was started again goes on with any run.
 
-A run is reported at once when there is news of it, and then each second for a while after its last message:
-a report may be lost. No later report is due: a coordinator that still misses one sends its rows again, and
-these are news.
+A run is reported when there is news of it, and only then: a coordinator that misses a report sends its rows
+again, and these are news.
 """
 
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from math import inf
 from pathlib import Path
 
 import structlog
 
-from qdgrasp_coordinator.recorder.recorded_job import LockedJobFolder, RunIdentity, check_same_run
-from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
+from qdgrasp_coordinator.recorder.run_writer import Arrival, RunIdentity, RunWriter, check_same_run
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
-from qdgrasp_coordinator.storage.job_folder import RUN
+from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder
 from qdgrasp_coordinator.storage.journal import Journal, slice_from_message, slice_to_message
 from qdgrasp_coordinator.storage.journal_writer import FirstEpoch, OpenJournals
 from qdgrasp_coordinator.storage.outputs import JOURNAL, SPEC, OutFolder
@@ -29,7 +27,15 @@ from qdgrasp_coordinator.storage.platforms import platform_differences, platform
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import DropCounter, Query, Sample
-from qdgrasp_protocol.errors import DiskFull, FolderError, InputError, MessageError, NoReply, Refused
+from qdgrasp_protocol.errors import (
+    DiskFull,
+    FolderError,
+    InputError,
+    MessageError,
+    NoReply,
+    Refused,
+    TookOver,
+)
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable, Recorded, shorten
 from qdgrasp_protocol.spec import read_run_spec
@@ -37,90 +43,91 @@ from qdgrasp_protocol.spec import read_run_spec
 log = structlog.get_logger()
 
 RETRY_INTERVAL = 1.0  # Seconds between two tries to write on a full disk
-
-
-class DiskSpaceRetry:
-    """State of a folder's disk, full or not, as writes have shown; waits `limit` seconds."""
-
-    def __init__(self, path: Path, limit: float) -> None:
-        self._path = path
-        self._limit = limit
-        self._since: float | None = None
-        self.trouble = ""  # Reason why nothing can be written; empty when it can
-        self.try_at = -inf  # When to try to write again
-
-    def on_full(self, reason: str, now: float, command: str) -> None:
-        """Note that a write did not fit; raise `DiskFull` when nothing has fitted for too long.
-
-        Once there is room, `command` goes on with the job.
-        """
-        if self._since is None:
-            self._since = now
-        elif now - self._since > self._limit:
-            raise DiskFull(
-                f"{self._path} has had no room for {self._limit:g} s; make room, then `{command}` goes on."
-            )
-        self.trouble = reason
-        self.try_at = now + RETRY_INTERVAL
-
-    def on_written(self) -> None:
-        """Note that something was written."""
-        self._since, self.trouble, self.try_at = None, "", -inf
-
-
-REPORT_INTERVAL = 1.0  # Seconds between two reports of a run when nothing happens
-REPORT_SECONDS = 10.0  # Seconds for which a run is reported after its last message
-
-
-class ReportSchedule:
-    """Schedule of the reports of runs."""
-
-    def __init__(self) -> None:
-        self._due: dict[str, float] = {}
-        self._until: dict[str, float] = {}
-
-    def keep_reporting(self, run: str, now: float) -> None:
-        """Report a run each second for a while."""
-        self._due.setdefault(run, now + REPORT_INTERVAL)
-        self._until[run] = now + REPORT_SECONDS
-
-    def report_now(self, run: str, now: float) -> None:
-        """Report a run at once."""
-        self._due[run] = now
-        self._until[run] = now + REPORT_SECONDS
-
-    def report_all(self, now: float) -> None:
-        """Make every remembered run due at once."""
-        self._due = dict.fromkeys(self._due, now)
-
-    def has(self, run: str) -> bool:
-        """Return whether another report of a run is due at some time."""
-        return run in self._due
-
-    @property
-    def deadline(self) -> float:
-        """When the next report is due; infinite if there is no next one."""
-        return min(self._due.values(), default=inf)
-
-    def due(self, now: float) -> list[str]:
-        """The runs to report now; they count as reported."""
-        runs = [run for run, at in self._due.items() if at <= now]
-        for run in runs:
-            if now + REPORT_INTERVAL <= self._until[run]:
-                self._due[run] = now + REPORT_INTERVAL
-            else:
-                del self._due[run], self._until[run]
-        return runs
-
-
 COMMITS_AT_ONCE = 8  # Most runs that are committed between two looks at queries: an opening waits for one
 OPEN_JOURNALS = 64  # Most journals open at once, of three files each; reopening costs a few commits
 MOST_PAGE_ITEMS = 1 << 18  # Numbers in the widest column of a page: 1 MB, the most that a message may have
 
 
+JOB_KINDS = ("a run of its own", "a campaign")
+
+
+class LockedJobFolder(ExitStack):
+    """A job's folder, there or to be created; a context manager that holds its lock.
+
+    A `FolderError` says that it is another job's, in use, holds other files, or cannot be read.
+    """
+
+    def __init__(self, path: Path, job: str) -> None:
+        super().__init__()
+        self.job = job
+        self.folder = JobFolder(path)
+        self.epoch = 0  # Epoch of the coordinator whose rows are taken; `store_epoch` writes it
+        self.is_begun = False
+        self._lock_existing()
+
+    def check(self, asked: Open) -> None:
+        """Refuse runs that may not be opened here, now, and at once."""
+        runs = [run.run for run in asked.runs]
+        if asked.job != self.job:
+            raise Refused(f"this recorder keeps the runs of job '{self.job}', not of '{asked.job}'")
+        if 0 < asked.epoch < self.epoch:
+            raise TookOver.refusal(asked.epoch, self.epoch)
+        if len(set(runs)) < len(runs):
+            raise Refused(f"expected different runs to open, got {runs}")
+        if not runs and asked.epoch:
+            raise Refused("expected runs to open in an epoch that has begun, got none")
+        if RUN in runs and len(runs) > 1:
+            raise Refused(f"'{RUN}' is the name of a run of its own, which has no others beside it")
+        is_campaign = RUN not in runs
+        if self.is_begun and self.folder.is_campaign != is_campaign:
+            raise Refused(
+                f"{self.folder.path} holds {JOB_KINDS[not is_campaign]}, the coordinator opens "
+                f"{JOB_KINDS[is_campaign]}; name another folder"
+            )
+
+    def begin(self, first: RunIdentity | None) -> None:
+        """Create the job's folder if it is missing, for this run alone or among others.
+
+        None: for a campaign of which no run is opened yet.
+        """
+        if self.is_begun:
+            return
+        if first is not None and first.run == RUN:
+            RunFolder.create(self.folder.path, first.spec, None, job=self.job)
+        else:
+            JobFolder.create(self.folder.path, self.job)
+        self._take_lock()
+
+    def store_epoch(self) -> None:
+        """Write the epoch if the folder has a lower one, as a restored copy may."""
+        if self.is_begun and self.folder.epoch < self.epoch:
+            self.folder.set_epoch(self.epoch)
+
+    @property
+    def run_paths(self) -> list[Path]:
+        """The folders of all runs that are there."""
+        return self.folder.run_paths if self.is_begun else []
+
+    def _lock_existing(self) -> None:
+        folder = self.folder
+        if not JobFolder.is_job(folder.path):
+            OutFolder(folder.path).check()
+            return
+        if folder.name != self.job:
+            raise FolderError(
+                f"{folder.path} is of job '{folder.name}', not '{self.job}'; say --job {folder.name}."
+            )
+        self._take_lock()
+
+    def _take_lock(self) -> None:
+        self.enter_context(self.folder.lock())
+        self.is_begun = True
+        self.epoch = max(self.epoch, self.folder.epoch)
+
+
 @contextmanager
 def open_recorder(
-    path: Path, job: str, disk_wait: float, now: float, open_journals: int = OPEN_JOURNALS
+    path: Path, job: str, disk_wait: float, open_journals: int = OPEN_JOURNALS
 ) -> Iterator["Recorder"]:
     """Lock the folder of a job, there or to be created, and record its runs in this context.
 
@@ -128,7 +135,7 @@ def open_recorder(
     `disk_wait` seconds; at most `open_journals` journals are open at once.
     """
     with LockedJobFolder(path, job) as folder, OpenJournals(open_journals) as journals:
-        yield Recorder(folder, journals, disk_wait, now)
+        yield Recorder(folder, journals, disk_wait)
 
 
 class Recorder:
@@ -137,13 +144,16 @@ class Recorder:
     Any method that is passed the time raises `DiskFull` when the disk was full for too long.
     """
 
-    def __init__(self, folder: LockedJobFolder, journals: OpenJournals, disk_wait: float, now: float) -> None:
+    def __init__(self, folder: LockedJobFolder, journals: OpenJournals, disk_wait: float) -> None:
         self._folder = folder
         self._journals = journals
         self._keys = Keys(folder.job)
-        self._disk = DiskSpaceRetry(folder.folder.path, disk_wait)
+        self._disk_wait = disk_wait
+        self._full_since = inf  # When a write first found the disk full; infinite: the last one fitted
+        self._try_at = -inf  # When to try to write again
+        self._trouble = ""  # Reason why nothing can be written; empty when it can
         self._drops = DropCounter()
-        self._reports = ReportSchedule()
+        self._news: set[str] = set()  # Runs that are to be reported
         self._rows_not_taken: Counter[Arrival] = Counter()
         self.writers: dict[str, RunWriter] = {}
         """Writers of runs by name; other runs, also finished ones, may be in the folder."""
@@ -152,8 +162,6 @@ class Recorder:
         self._finished = FinishedRuns(folder.folder.path)
         self._find(RUN)
         self._platform = self._recorded_platform()
-        for run in self.writers:
-            self._reports.keep_reporting(run, now)
 
     @property
     def epoch(self) -> int:
@@ -172,11 +180,9 @@ class Recorder:
 
     def _take_rows(self, message: Recordable, now: float) -> None:
         arrival = self.add_rows(message, now)
-        if arrival is Arrival.TAKEN:
-            self._reports.keep_reporting(message.run, now)
-        else:
+        if arrival is not Arrival.TAKEN:
             self._rows_not_taken[arrival] += message.n
-            self._reports.report_now(message.run, now)
+            self._news.add(message.run)
 
     def add_rows(self, message: Recordable, now: float) -> Arrival:
         """Queue rows for their commit; a run that was not opened, or another row shape, is refused."""
@@ -198,7 +204,7 @@ class Recorder:
         """Open runs, or show recorded rows; else raise `Refused`, or `NoReply` for want of room now."""
         try:
             if query.key == self._keys.open:
-                return messages.encode(self._answer_open(messages.decode(query.payload, Open), now))
+                return messages.encode(self._answer_open(messages.decode(query.payload, Open)))
             return messages.encode(self.page(messages.decode(query.payload, Log)))
         except DiskFull as full:
             self._on_disk_full(full, now)
@@ -206,11 +212,10 @@ class Recorder:
         except (InputError, MessageError, Refused) as error:
             raise Refused(str(error).removesuffix(".")) from None
 
-    def _answer_open(self, asked: Open, now: float) -> Opened:
+    def _answer_open(self, asked: Open) -> Opened:
         opened = self.open(asked)
-        self._on_disk_written(now)
+        self._on_disk_written()
         for run, rows in zip(asked.runs, opened.durable, strict=True):
-            self._reports.keep_reporting(run.run, now)
             log.info("opened", run=run.run, epoch=opened.epoch, rows=rows)
         return opened
 
@@ -331,24 +336,24 @@ class Recorder:
     @property
     def deadline(self) -> float:
         """When `step` has something to do if nothing comes before; infinite: never."""
-        return min(self._commit_at, self._reports.deadline)
+        return -inf if self._news else self._commit_at
 
     def step(self, now: float) -> list[Recorded]:
-        """Commit what is due; gives the reports that are."""
+        """Commit what is due; gives the reports of runs of which there is news."""
         if now >= self._commit_at:
             try:
-                self._commit_due(now, now, COMMITS_AT_ONCE)
+                self._commit_due(now, COMMITS_AT_ONCE)
             except DiskFull as full:
                 self._on_disk_full(full, now)
             else:
-                self._on_disk_written(now)
-        return self._due_reports(now)
+                self._on_disk_written()
+        return self._take_reports()
 
-    def close(self, now: float) -> list[Recorded]:
+    def close(self) -> list[Recorded]:
         """Commit what waits, if there is room; gives the last reports."""
         with suppress(DiskFull):
-            self._commit_due(inf, now)
-        return self._due_reports(now)
+            self._commit_due(inf)
+        return self._take_reports()
 
     @property
     def commit_deadline(self) -> float:
@@ -372,45 +377,51 @@ class Recorder:
 
     @property
     def _commit_at(self) -> float:
-        return max(self.commit_deadline, self._disk.try_at)
+        return max(self.commit_deadline, self._try_at)
 
-    def _commit_due(self, by: float, now: float, most: int | None = None) -> None:
+    def _commit_due(self, by: float, most: int | None = None) -> None:
         for run in self.due(by)[:most]:
             self.commit(run)
-            self._reports.report_now(run, now)
+            self._news.add(run)
 
     def _on_disk_full(self, full: DiskFull, now: float) -> None:
         """Report that the disk is full, and try again soon; give up when it was full for too long."""
-        if not self._disk.trouble:
+        folder = self._folder.folder
+        if not self._trouble:
             log.warning("the disk is full; trying again until there is room", reason=str(full))
-        self._disk.on_full(shorten(str(full)), now, self._folder.folder.resume_command)
-        for run in self._waiting:
-            self._reports.report_now(run, now)
+        self._full_since = min(self._full_since, now)
+        if now - self._full_since > self._disk_wait:
+            raise DiskFull(
+                f"{folder.path} has had no room for {self._disk_wait:g} s; "
+                f"make room, then `{folder.resume_command}` goes on."
+            )
+        self._trouble, self._try_at = shorten(str(full)), now + RETRY_INTERVAL
+        self._news.update(self._waiting)
 
-    def _on_disk_written(self, now: float) -> None:
-        if self._disk.trouble:
+    def _on_disk_written(self) -> None:
+        if self._trouble:
             log.info("there is room again", folder=str(self._folder.folder.path))
-            self._reports.report_all(now)
-        self._disk.on_written()
+            self._news.update(self.writers)
+        self._full_since, self._try_at, self._trouble = inf, -inf, ""
 
-    def _due_reports(self, now: float) -> list[Recorded]:
+    def _take_reports(self) -> list[Recorded]:
         for arrival, rows in self._rows_not_taken.items():
             log.info("rows not taken", reason=arrival.value, rows=rows)
         self._rows_not_taken.clear()
-        reports = [self._report(run) for run in self._reports.due(now)]
-        for report in reports:
-            if not self._reports.has(report.run):
-                self._forget(report.run)
+        reports = [self._report(run) for run in sorted(self._news)]
+        for run in self._news:
+            self._forget(run)
+        self._news.clear()
         return reports
 
     def _forget(self, run: str) -> None:
-        """Forget a run that is finished and not heard of any more; it is found again in its folder."""
+        """Forget a run that is finished; it is found again in its folder."""
         if self.writers[run].finished and run not in self._waiting and run not in self._without_scene:
             del self.writers[run]
 
     def _report(self, run: str) -> Recorded:
-        durable, trouble = self.writers[run].durable, self._disk.trouble
-        return Recorded(epoch=self.epoch, run=run, durable=durable, trouble=trouble)
+        durable = self.writers[run].durable
+        return Recorded(epoch=self.epoch, run=run, durable=durable, trouble=self._trouble)
 
     @property
     def missing_scenes(self) -> list[str]:

@@ -78,7 +78,7 @@ class RecorderService:
         self._stop.tell(lambda: self._inbox.put(None))
         with ExitStack() as stack:
             enter = stack.enter_context
-            recorder = enter(open_recorder(self._path, self._job, self._disk_wait, time.monotonic()))
+            recorder = enter(open_recorder(self._path, self._job, self._disk_wait))
             enter(self._bus.subscribe(self._keys.outcome(), self._inbox.put))
             enter(self._bus.answer(self._keys.open, self._ask))
             enter(self._bus.answer(self._keys.log, self._ask))
@@ -87,7 +87,7 @@ class RecorderService:
             while not self._stop.is_set:
                 self._step(recorder)
             self._process(recorder, 0.0)
-            self._report(recorder.close(time.monotonic()))
+            self._report(recorder.close())
 
     def _step(self, recorder: Recorder) -> None:
         now = time.monotonic()

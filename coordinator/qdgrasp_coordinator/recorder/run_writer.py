@@ -6,26 +6,63 @@ Time is passed in, in seconds of any steady clock.
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import chain
 from math import inf
+from pathlib import Path
 from types import MappingProxyType
+from typing import Self
 
 from qdgrasp_coordinator.metrics.job_status import RunListing
 from qdgrasp_coordinator.metrics.run_stats import RunCounter, count_rows
-from qdgrasp_coordinator.recorder.recorded_job import RunIdentity
-from qdgrasp_coordinator.storage.journal import JournalSlice, join_slices
+from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice, join_slices
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter, OpenJournals
 from qdgrasp_coordinator.storage.platforms import platform_of
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import ImpossibleValue, InputError
-from qdgrasp_protocol.rows import Rows
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.errors import ImpossibleValue, InputError, Refused
+from qdgrasp_protocol.messages import OpenRun
+from qdgrasp_protocol.rows import Rows, RowShape
+from qdgrasp_protocol.spec import RunSpec, differences, from_toml, to_toml
 
 GROUP_ROWS = 2048  # With this many rows waiting, they are committed at once
 GROUP_SECONDS = 0.25  # The longest that a row waits for its commit
 MOST_WAITING = 65_536  # Most rows that wait while commits fail; more than a coordinator sends unconfirmed
+
+
+@dataclass(frozen=True)
+class RunIdentity:
+    """A run, as a coordinator opens it or as a folder holds it."""
+
+    run: str
+    spec: RunSpec
+    scene: str
+    """sha256 of the scene bundle."""
+    shape: RowShape
+
+    @classmethod
+    def of(cls, asked: OpenRun) -> Self:
+        """Return the run that a coordinator opens; an `InputError` says what is wrong with its spec."""
+        spec = from_toml(asked.spec.decode(errors="replace"), "the coordinator's spec")
+        shape = RowShape(asked.genes, asked.joints, asked.descriptors, asked.contact_slots)
+        return cls(asked.run, spec, asked.scene, shape)
+
+    @property
+    def for_journal(self) -> JournalIdentity:
+        """The same for a new journal."""
+        return JournalIdentity(self.run, to_toml(self.spec), self.scene, self.shape)
+
+
+def check_same_run(path: Path, held: RunIdentity, asked: RunIdentity) -> None:
+    """Refuse a run that is not the one in a folder; budget and stop criteria may differ."""
+    if differ := differences(held.spec, asked.spec):
+        raise Refused(f"{path} holds a run of another spec: {', '.join(differ)} differ; name another folder")
+    if asked.scene != held.scene:
+        raise Refused(
+            f"{path} holds a run of scene {held.scene[:12]}, the coordinator has {asked.scene[:12]}"
+        )
+    if (asked.run, asked.shape) != (held.run, held.shape):
+        raise Refused(f"{path} holds run '{held.run}' with rows of {held.shape}")
 
 
 class Arrival(Enum):

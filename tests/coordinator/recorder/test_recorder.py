@@ -11,12 +11,7 @@ from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, mak
 
 from qdgrasp_coordinator.recorder.recorder import (
     COMMITS_AT_ONCE,
-    REPORT_INTERVAL,
-    REPORT_SECONDS,
-    RETRY_INTERVAL,
-    DiskSpaceRetry,
     Recorder,
-    ReportSchedule,
     open_recorder,
 )
 from qdgrasp_coordinator.recorder.run_writer import GROUP_SECONDS, Arrival
@@ -26,7 +21,7 @@ from qdgrasp_coordinator.storage.journal import Journal, JournalSlice, slice_to_
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
-from qdgrasp_protocol.errors import DiskFull, FolderError, InputError, MessageError, Refused
+from qdgrasp_protocol.errors import FolderError, InputError, MessageError, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable
 from qdgrasp_protocol.spec import RunSpec, to_toml
@@ -37,7 +32,7 @@ HERE, ELSEWHERE = {"pybullet": "3.2.7"}, {"pybullet": "3.2.6"}
 
 
 def recording(path: Path, open_journals: int = 64) -> AbstractContextManager[Recorder]:
-    return open_recorder(path, JOB, 60.0, 0.0, open_journals)
+    return open_recorder(path, JOB, 60.0, open_journals)
 
 
 def ask(*runs: str, epoch: int = 0, spec: RunSpec = SPEC, scene: str = BUNDLE.digest) -> Open:
@@ -342,7 +337,7 @@ class TestFinishedRuns:
             while recorder.deadline < now + 20.0:
                 recorder.step(recorder.deadline)
         assert recorder.writers.keys() == {"a"}
-        assert recorder._reports._due == recorder._reports._until == recorder._waiting == {}
+        assert recorder._news == set(recorder._waiting) == set()
         assert len(recorder._journals) <= 1
         assert self.finished(path, "run-49", self.SHORT) == 30
 
@@ -365,21 +360,3 @@ def test_an_opening_does_not_wait_for_the_commits_of_all_runs(path: Path, record
 
 def sample_of(message: Recordable) -> Sample:
     return Sample(Keys(JOB).outcome(message.epoch), messages.encode(message), messages.encoding(Recordable))
-
-
-def test_a_run_that_was_heard_of_is_reported_each_second_for_a_while_and_no_longer() -> None:
-    reports, reported = ReportSchedule(), []
-    reports.keep_reporting("a", 0.0)
-    for tenth in range(10 * int(REPORT_SECONDS + 5)):
-        reported += [tenth / 10] * len(reports.due(tenth / 10))
-    assert reported == [REPORT_INTERVAL * n for n in range(1, int(REPORT_SECONDS / REPORT_INTERVAL) + 1)]
-    assert reports.deadline == inf
-
-
-def test_a_full_disk_is_tried_again_and_given_up_after_a_while() -> None:
-    disk = DiskSpaceRetry(Path("runs/mugs"), limit=10.0)
-    for now in (100.0, 105.0, 110.0):
-        disk.on_full("no room", now, "qdgrasp resume runs/mugs")
-        assert (disk.trouble, disk.try_at) == ("no room", now + RETRY_INTERVAL)
-    with pytest.raises(DiskFull, match=r"runs/mugs has had no room for 10 s.*`qdgrasp resume runs/mugs`"):
-        disk.on_full("no room", 110.1, "qdgrasp resume runs/mugs")

@@ -100,7 +100,6 @@ def test_scenes_that_are_missing_are_fetched_for_all_runs(network, coordinator, 
         bus.answer(Keys(JOB).asset(), answer)
         coordinator.open_runs("a", scene="0" * 64)
         coordinator.open_runs("b", "c", epoch=1)
-        coordinator.hears_durable(0, "c")
         folders = [RunFolder.open(path / "runs" / run) for run in "bc"]
         wait_for(lambda: all(folder.has_bundle() for folder in folders), "the scene in both folders")
     assert [folder.bundle() for folder in folders] == [BUNDLE, BUNDLE]

@@ -60,10 +60,6 @@ class TestCredit:
         settle(dispatch, first[1], 0.2)
         assert indices(dispatch.leases(0.2)) == [[4, 5]]
 
-    def test_workers_take_turns(self) -> None:
-        dispatch = with_work(n=4, workers=(ANN, BOB))
-        assert sorted(lease.wid for lease in dispatch.leases(0.0)) == [ANN, BOB]
-
     def test_a_batch_holds_rows_of_one_generation_only(self) -> None:
         dispatch = with_work(n=3)
         submit(dispatch, 3, generation=1)
@@ -92,15 +88,6 @@ class TestCredit:
         assert np.frombuffer(work.columns["index"], "<u4").tolist() == [2, 3]
         assert work.columns["genome"] == genomes(10)[2:4].tobytes()
 
-    def test_ids_of_batches_are_never_used_again(self) -> None:
-        seen = set()
-        for epoch in range(3):
-            dispatch = with_work(n=50, batch_size=1, workers=())
-            dispatch.admit(ANN, epoch + 1, 64, [], 0.0)
-            ids = {lease.task.id for lease in dispatch.leases(0.0)}
-            assert (len(ids), {len(one) for one in ids}, ids & seen) == (50, {16}, set())
-            seen |= ids
-
     def test_the_workers_that_are_wanted_are_those_that_queued_and_leased_batches_keep_busy(self) -> None:
         dispatch = with_work(n=9)
         dispatch.leases(0.1)
@@ -122,20 +109,6 @@ class TestTurnsOfRuns:
             settle(dispatch, lease, now)
             served[lease.task.run.run] += 1
         assert abs(served["one"] - served["two"]) <= 2 * 5.0 / 0.1 + 2
-
-    def test_a_run_that_comes_late_is_not_given_what_it_missed(self) -> None:
-        dispatch = Dispatch(EPOCH, 1)
-        submit(dispatch, 1000, "one")
-        dispatch.admit(ANN, 1, 1, [], 0.0)
-        for now in range(200):
-            settle(dispatch, dispatch.leases(now)[0], now)
-        submit(dispatch, 1000, "two")
-        runs = []
-        for now in range(200, 400):
-            (lease,) = dispatch.leases(now)
-            settle(dispatch, lease, now)
-            runs.append(lease.task.run.run)
-        assert 60 < runs.count("two") < 140
 
     def test_a_worker_opens_few_scenes_where_there_are_more_than_it_can_keep(self) -> None:
         dispatch = Dispatch(EPOCH, 1)
@@ -196,11 +169,6 @@ class TestSettlement:
         assert [kind.value for kind in kinds] == ["foreign", "foreign", "fresh", "duplicate", "unknown"]
         assert (dispatch.counters["foreign"], dispatch.strays) == (2, 3)
 
-    def test_a_foreign_result_is_no_sign_of_progress(self) -> None:
-        dispatch, lease = with_one_lease()
-        settle(dispatch, lease, 9.0, epoch=EPOCH - 1)
-        assert len(dispatch.give_up(LEASE_SECONDS)) == 1
-
     @pytest.mark.parametrize(
         "wrong", [{"n": 1}, {"n": 3}, {"failures": failures((2,))}, {"run": "other"}], ids=str
     )
@@ -253,26 +221,8 @@ class TestFailedRows:
         assert dispatch.leases(9.1) == []
         assert (dispatch.counters["errors"], dispatch.counters["failures"]) == (1, 3)
 
-    def test_lost_workers_are_no_evidence_against_a_row(self) -> None:
-        dispatch = with_work(n=1)
-        for turn in range(3 * STRIKES):
-            now = 10.0 * turn
-            dispatch.leases(now)
-            lose(dispatch, now)
-            dispatch.admit(ANN, turn + 2, 2, [], now + 2)
-        (lease,) = dispatch.leases(1000.0)
-        assert (lease.attempt, lease.task.tried_by) == (3 * STRIKES + 1, ())
-
 
 class TestJoins:
-    def test_what_a_worker_does_not_hold_when_it_joins_again_is_leased_again(self) -> None:
-        dispatch = with_work(n=4)
-        held, dropped = dispatch.leases(0.0)
-        assert dispatch.admit(ANN, 2, 2, [held.task.id], 0.1) == []
-        (again,) = dispatch.leases(0.2)
-        assert (again.task.id, again.attempt, again.join) == (dropped.task.id, 2, 2)
-        assert settle(dispatch, held, 0.3).kind is Settlement.FRESH
-
     def test_a_worker_is_told_to_drop_what_others_have_or_nobody_wants(self) -> None:
         dispatch = with_work(n=8)
         settled, moved = dispatch.leases(0.0)
@@ -344,15 +294,6 @@ class TestEndsOfLeases:
             reasons += [lost.reason for lost in dispatch.give_up(now)]
         assert reasons == ["no answer for 600 seconds"]
 
-    def test_leases_are_longer_where_batches_take_longer(self) -> None:
-        dispatch = with_work(n=100, batch_size=1)
-        for now in range(0, 60, 3):
-            (lease, *_) = dispatch.leases(now)
-            settle(dispatch, lease, now + 3)
-        dispatch.leases(60.0)
-        assert dispatch.give_up(60.0 + 25) == []
-        assert 60.0 + 25 < dispatch.workers.next_deadline() < 60.0 + 35
-
     def test_a_stuck_worker_gets_nothing_until_it_answers_while_another_is_well(self) -> None:
         dispatch = with_work(n=20, workers=(ANN, BOB))
         anns = [lease for lease in dispatch.leases(0.0) if lease.wid == ANN]
@@ -369,18 +310,6 @@ class TestEndsOfLeases:
             tried += [lease.wid for lease in dispatch.leases(turn * LEASE_SECONDS)]
             dispatch.give_up((turn + 1) * LEASE_SECONDS)
         assert set(tried[:3]) == set(tried[3:]) == {ANN, BOB, EVE}
-
-    def test_a_batch_of_a_silent_worker_goes_to_one_that_answers(self) -> None:
-        dispatch = Dispatch(EPOCH, 1)
-        submit(dispatch, 2)
-        silent = [f"{number:032x}" for number in range(60)]
-        for wid in (BOB, *silent):
-            dispatch.admit(wid, 1, 1, [], 0.0)
-        answered, lost = dispatch.leases(0.0)
-        settle(dispatch, answered, 1.0)
-        dispatch.give_up(LEASE_SECONDS + 1)
-        (again,) = dispatch.leases(LEASE_SECONDS + 1)
-        assert (again.wid, again.task) == (BOB, lost.task)
 
 
 class TestStragglers:
@@ -459,12 +388,6 @@ class TestBuilds:
         assert dispatch.settle_build(ANN, built(first, reason="it burst"), 101.0) is None, "Bob is at it"
         assert dispatch.settle_build(ANN, built(first), 101.0).superseded == (BOB,)
         assert dispatch.settle_build(BOB, built(second), 102.0) is None
-
-    def test_a_build_is_kept_by_a_worker_that_lists_it(self) -> None:
-        dispatch = with_builds(shape_task(), **{ANN: CODE})
-        (lease,) = dispatch.leases(0.0)
-        assert dispatch.join(join_message(ANN, 2, held=[lease.task.id], builds=CODE), 1.0) == []
-        assert dispatch.leases(1.0) == []
 
     def test_a_build_that_fails_three_times_ends_with_its_reason(self) -> None:
         dispatch = with_builds(shape_task(), **{ANN: CODE})

@@ -99,10 +99,6 @@ def test_the_end_of_a_generation_is_shared(workers: int) -> None:
     assert left == 0
 
 
-def test_a_fixed_size_is_kept_but_for_the_rest() -> None:
-    assert batches(BatchSizer(64), 200, 9) == [64, 64, 64, 8]
-
-
 @pytest.mark.parametrize(
     ("turnarounds", "limit"),
     [
@@ -127,10 +123,3 @@ def test_runs_share_the_workers_so_each_cuts_for_its_part_of_them() -> None:
     )  # 0.25 s, less than half of the part of each of 10 workers
     assert sizer.next_size(500, 1000, runs=16) == 4
     assert sizer.next_size(500, 1000) == 1
-
-
-def test_no_batch_is_so_small_that_handing_them_out_takes_longer_than_the_work() -> None:
-    sizer = BatchSizer()
-    sizer.measure(1000, 0.05)  # 50 us a row, as much as handing a batch out
-    assert sizer.next_size(10_000, 1000) >= 100
-    assert sizer.next_size(10_000, 1) == 512

@@ -19,13 +19,6 @@ from qdgrasp_protocol.errors import Cancelled, Refused, RunsFailed, TookOver
 from qdgrasp_protocol.keys import Keys
 
 
-def test_many_runs_at_once_find_what_each_finds_alone() -> None:
-    job = Job(dict(PLANS))
-    job.carry_out()
-    assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()}
-    assert max(job.open) > 1
-
-
 def test_a_run_that_cannot_be_made_is_told_of_when_the_others_are_done() -> None:
     job = Job({"bad": None, **PLANS})
     with pytest.raises(RunsFailed, match=r"1 of 7 runs .* 'bad': Its mesh is no mesh\."):
@@ -67,14 +60,6 @@ def test_a_run_of_another_platform_fails_and_the_others_are_done() -> None:
     with pytest.raises(RunsFailed, match=r"'run-5': Its rows were made elsewhere: .* pybullet 2\.0"):
         job.carry_out()
     assert job.journals() == {name: reference(plan) for name, plan in PLANS.items()} | {"run-5": b""}
-
-
-def test_what_a_finished_run_held_is_let_go() -> None:
-    job = Job({f"run-{seed}": Plan(seed=seed, evaluations=20) for seed in range(40)})
-    job.carry_out()
-    assert len(job.programme.pipelines) == 40
-    last_opened = 1
-    assert sum(pipeline() is not None for pipeline in job.programme.pipelines) <= last_opened
 
 
 # Commands of administrators, and jobs that end early.
@@ -182,12 +167,3 @@ def test_who_is_not_there_cannot_be_drained(whom: dict[str, str], reason: str) -
             assert bob.kept.wait(PATIENCE)
             with pytest.raises(Refused, match=reason):
                 send_command(bus, "drain", **whom)
-
-
-def test_a_job_whose_time_is_over_ends_without_an_error() -> None:
-    job = Job({"run-0": LONG}, seconds=0.2)
-    worker = FakeWorker(job.network.session(), ANN, answers=False)
-    with worker.at_work(), last_words(job.network.session()) as told:
-        job.service.run()
-        assert told()[-1] == "cancelled"
-    assert len(job.records["run-0"].rows) < LONG.evaluations

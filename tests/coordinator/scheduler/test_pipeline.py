@@ -91,24 +91,6 @@ def test_any_recorded_beginning_goes_on_to_the_same_journal(plan: Plan) -> None:
         assert pipeline.finished is not None
 
 
-@pytest.mark.parametrize("plan", [plan for plan in PLANS if plan.evaluations == 23], ids=str)
-def test_a_smaller_budget_gives_a_beginning_of_the_same_journal_or_is_known_not_to(plan: Plan) -> None:
-    whole = reference(plan)
-    spec = RunSpec(gripper="hand", object="thing", population=plan.population, evaluations=plan.evaluations)
-    extended = 0
-    for evaluations in range(1, 23):
-        smaller = replace(plan, evaluations=evaluations).pipeline()
-        part = journal(smaller, 0)
-        assert len(part) < len(whole)
-        if whole.startswith(part):
-            smaller.tally.check_budget(spec)
-            extended += 1
-        else:
-            with pytest.raises(ImpossibleValue, match="only whole generations can be extended"):
-                smaller.tally.check_budget(spec)
-    assert extended == 22 if plan.trials == 0 else extended > 0
-
-
 @pytest.mark.parametrize("trials", [0, 2])
 @pytest.mark.parametrize("overlaps", ["count", "redraw"])
 def test_recorded_rows_allow_just_the_budgets_whose_journals_begin_with_them(overlaps, trials: int) -> None:
@@ -187,17 +169,6 @@ def test_rows_that_come_again_are_ignored() -> None:
     assert len(pipeline.settle(changed)) == 0
 
 
-def test_rows_that_nobody_asked_for_are_ignored() -> None:
-    pipeline = Plan(population=6, evaluations=100).pipeline()
-    rows = asked(pipeline)
-    strays = np.concatenate([rows[:3]] * 2)
-    strays["generation"] = [1, 2, 99, 0, 0, 0]
-    strays["index"][3:] = [6, 2**32 - 1, 0]
-    strays["trial"][5] = 1
-    assert len(pipeline.settle(strays)) == 0
-    assert pipeline.settle(rows).rows.tobytes() == rows.tobytes()
-
-
 def test_what_rows_cost_goes_with_the_next_that_become_final() -> None:
     pipeline = Plan(population=6, evaluations=100).pipeline()
     rows = asked(pipeline)
@@ -232,14 +203,6 @@ def test_a_journal_of_another_run_is_refused_in_one_sentence(column: str, value:
     with pytest.raises(ReplayError, match=f"journal's {words}") as caught:
         plan.pipeline().replay(recorded)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("overlaps", ["count", "redraw"])
-def test_a_journal_longer_than_the_budget_is_refused(overlaps) -> None:
-    plan = Plan(population=4, evaluations=30, overlaps=overlaps)
-    recorded = rows_in(reference(plan))
-    with pytest.raises(ReplayError, match="budget of 29 evaluations is spent"):
-        replace(plan, evaluations=29).pipeline().replay(recorded)
 
 
 class Fertile(Spy):
@@ -293,17 +256,6 @@ def test_the_search_hears_the_sum_over_the_trials_as_the_fitness_of_a_success() 
     assert heard.tobytes() == nominal.tobytes()
 
 
-def test_a_run_ends_with_the_trials_of_the_rows_that_its_budget_reaches() -> None:
-    search, pipeline = fertile(evaluations=3)
-    assert len(pipeline.settle(asked(pipeline))) == 3
-    assert pipeline.finished is None
-    assert pipeline.tally.left == 0
-    assert len(pipeline.settle(asked(pipeline))) == 6
-    assert pipeline.finished == "the budget of 3 evaluations is spent"
-    assert (pipeline.tally.evaluations, pipeline.tally.trials, pipeline.tally.rows) == (3, 6, 9)
-    assert search.calls == ["ask 0"]
-
-
 def test_trials_that_nobody_asked_for_are_ignored() -> None:
     _, pipeline = fertile()
     nominal = asked(pipeline)
@@ -330,13 +282,3 @@ def test_a_journal_with_other_trials_is_refused(column: str, value: float) -> No
     recorded[column][4] = value
     with pytest.raises(ReplayError, match=rf"journal's {column} differs .* generation 0, index 0"):
         fertile()[1].replay(recorded)
-
-
-def test_of_recorded_trials_only_the_missing_ones_are_asked_again() -> None:
-    _, pipeline = fertile()
-    nominal = asked(pipeline)
-    pipeline.settle(nominal)
-    recorded = np.concatenate([nominal, asked(pipeline)[:4]])
-    _, resumed = fertile()
-    resumed.replay(recorded)
-    assert keys_of(asked(resumed)) == [(2, 2), (2, 3)]

@@ -47,30 +47,12 @@ def numbers(slices: list[JournalSlice]) -> list[int]:
     return [number for one in slices for number in range(one.first, one.stop)]
 
 
-def test_rows_are_sent_once_while_all_is_well() -> None:
-    outbox = filled(3, 4)
-    assert numbers(outbox.take_due(0.0)) == list(range(7))
-    assert outbox.take_due(0.1) == []
-    outbox.push(journal_slice(7, 2))
-    assert numbers(outbox.take_due(0.2)) == [7, 8]
-    outbox.confirm(9, 0.3)
-    assert outbox.is_empty
-    assert outbox.take_due(100.0) == []
-
-
 def test_what_is_not_durable_is_sent_again_after_a_while() -> None:
     outbox = filled(10, sent=5.0)
     outbox.confirm(4, 6.0)
     assert outbox.take_due(6.0 + RESEND_AFTER - 0.01) == []
     assert numbers(outbox.take_due(6.0 + RESEND_AFTER)) == [4, 5, 6, 7, 8, 9]
     assert outbox.take_due(6.0 + 2 * RESEND_AFTER - 0.01) == []
-
-
-def test_a_report_without_progress_puts_nothing_off() -> None:
-    outbox = filled(10, sent=0.0)
-    for tenth in range(20):
-        outbox.confirm(0, tenth / 10)
-    assert numbers(outbox.take_due(RESEND_AFTER)) == list(range(10))
 
 
 @pytest.mark.parametrize(("sizes", "durable"), [([10], 3), ([5, 5, 5], 7)])

@@ -34,11 +34,6 @@ def test_more_genomes_in_flight_are_taken_for_granted_where_nothing_is_said_of_t
     assert full_spec({**ASKED, "generations_in_flight": 2, "in_flight": 100}).in_flight == 100
 
 
-def test_what_is_asked_for_stays() -> None:
-    spec = full_spec({**ASKED, "method": "cma_mae", "population": 60, "overlaps": "redraw"})
-    assert (spec.population, spec.overlaps) == (60, "redraw")
-
-
 @pytest.mark.parametrize(
     ("key", "value"), [("population", 500), ("generations_in_flight", 2), ("in_flight", 1080)]
 )
@@ -137,6 +132,3 @@ def test_a_row_that_comes_twice_is_compared_once(repetition, heard) -> None:
 def test_why_a_row_failed_is_told_with_it(repetition, heard) -> None:
     repetition.settle(evaluated(repetition)[::-1], failures=[Failure(row=1, reason="it burst")])
     assert [(place, reason) for place, _, reason in heard if reason] == [(N - 2, "it burst")]
-
-
-# The queue of a job with one run.

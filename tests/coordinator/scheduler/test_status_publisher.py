@@ -15,7 +15,6 @@ from tests.fakes.worker import FakeWorker
 from qdgrasp_coordinator.metrics import job_status
 from qdgrasp_coordinator.metrics.job_status import (
     JobEvent,
-    JobEvents,
     JobStatus,
     RunStatus,
     WorkersPage,
@@ -43,15 +42,6 @@ class Wall:
 
     def asked(self, key: str) -> dict[str, bytes]:
         return self.cache.answer(Query(f"{ROOT}/{key}", "", b""))
-
-
-def test_what_was_shown_last_is_told_by_its_key() -> None:
-    wall = Wall()
-    for payload in (b"1", b"2"):
-        wall.cache.set(f"{ROOT}/job", payload)
-    wall.cache.set(f"{ROOT}/run/a", b"3")
-    assert wall.asked("**") == {f"{ROOT}/job": b"2", f"{ROOT}/run/a": b"3"}
-    assert wall.asked("run/*") == {f"{ROOT}/run/a": b"3"}
 
 
 def test_what_is_not_there_any_more_is_told_to_nobody() -> None:
@@ -161,17 +151,6 @@ def test_that_trouble_came_and_went_is_told(monkeypatch: pytest.MonkeyPatch) -> 
     assert heard.words("trouble") == ["There is no room.", "It goes on; this is over: There is no room."]
 
 
-def test_those_who_come_late_hear_what_happened() -> None:
-    job = Job({"run-0": LONG})
-    with job.serving(), job.network.session() as bus, FakeWorker(job.network.session(), ANN).at_work():
-        wait_for(lambda: KEYS.stat("run/run-0") in bus.ask_all(KEYS.stat()))
-        values = bus.ask_all(KEYS.stat())
-        (recent,) = bus.ask_all(KEYS.recent).values()
-    kinds = {key.removeprefix(KEYS.stat("")).split("/")[0] for key in values}
-    assert kinds == {"job", "run", "team"}
-    assert "Run 'run-0' begins." in [event.words for event in from_json(recent, JobEvents).events]
-
-
 def test_a_worker_that_dies_is_shown_as_gone() -> None:
     job = Job({"run-0": LONG})
     heard = Heard(job.network.session())
@@ -186,7 +165,3 @@ def states(heard: Heard) -> list[str]:
     """The states of the first worker, as they were heard."""
     pages = [from_json(payload, WorkersPage) for payload in heard.of(KEYS.stat("team/0"))]
     return [page.workers[0].state for page in pages if page.workers]
-
-
-def asked(bus: Bus, what: str) -> dict[str, bytes]:
-    return bus.ask_all(KEYS.stat(what))

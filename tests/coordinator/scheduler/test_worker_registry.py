@@ -7,13 +7,11 @@ import pytest
 from tests.fakes.messages import ANN, join_message
 
 from qdgrasp_coordinator.scheduler.worker_registry import (
-    RateMeter,
     WorkerRegistry,
 )
 from qdgrasp_coordinator.storage.platforms import (
     PlatformDiffers,
     admit_platform,
-    lacks_engine,
     platform_differences,
     platform_of,
 )
@@ -121,14 +119,6 @@ def test_the_indexes_agree_with_a_pass_over_all_workers(seed: int) -> None:
         assert turmoil.late == {lost.worker.wid for lost in workers.overdue(turmoil.now)}
 
 
-@pytest.mark.parametrize("seconds", [1, 5, 60])
-def test_a_steady_speed_is_given_from_the_beginning(seconds: int) -> None:
-    speed = RateMeter(100.0)
-    for step in range(1, 20 * seconds + 1):
-        speed.count(1, 100.0 + step / 20)
-    assert speed.rate(100.0 + seconds) == pytest.approx(20, rel=0.03)
-
-
 def test_the_number_of_a_join_is_one_that_the_worker_can_have_come_to() -> None:
     workers = WorkerRegistry()
     workers.join(join_message(ANN, number=2**40), 0.0)  # of a life that this coordinator knows nothing of
@@ -167,14 +157,6 @@ def test_what_concerns_an_engine_is_recorded_with_its_rows_alone() -> None:
     assert platform_of(None, both) == OF_ALL | IN_BULLET
     assert platform_of("mujoco", both) == OF_ALL | IN_MUJOCO
     assert platform_of("bullet,mujoco", both) == platform_of("mujoco,bullet", both) == both
-
-
-def test_a_worker_lacks_an_engine_where_it_names_others() -> None:
-    assert lacks_engine(None, OF_ALL | IN_MUJOCO)
-    assert lacks_engine("mujoco", OF_ALL | IN_BULLET)
-    assert lacks_engine("bullet,mujoco", OF_ALL | IN_MUJOCO)
-    assert not lacks_engine(None, OF_ALL | IN_BULLET | IN_MUJOCO)
-    assert not lacks_engine(None, OF_ALL), "that of an evaluator of one's own"
 
 
 def test_rows_of_a_device_name_it_and_are_not_mixed_with_those_of_another() -> None:
