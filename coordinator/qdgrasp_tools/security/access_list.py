@@ -28,66 +28,57 @@ class TrafficKind(StrEnum):
     TOKEN = "token"  # noqa: S105  # One side is alive, the other watches
 
 
+PUT, QUERY, TOKEN = TrafficKind
+
+
 @dataclass(frozen=True)
 class Traffic:
     """One kind of traffic."""
 
-    key: str  # A pattern over the keys of all jobs
     kind: TrafficKind
-    givers: frozenset[Role]  # Roles that publish, ask, or are alive
-    takers: frozenset[Role]  # Roles that subscribe, answer, or watch
+    key: str  # A pattern over the keys of all jobs
+    givers: Set[Role]  # Roles that publish, ask, or are alive
+    takers: Set[Role]  # Roles that subscribe, answer, or watch
     limit: int = 0  # The most bytes of a message or question
     answer_limit: int = 0  # The most bytes of an answer
 
 
-def _put(key: str, givers: Set[Role], takers: Set[Role], limit: int) -> Traffic:
-    return Traffic(key, TrafficKind.PUT, frozenset(givers), frozenset(takers), limit)
-
-
-def _query(key: str, askers: Set[Role], answerers: Set[Role], limit: int, answer: int) -> Traffic:
-    return Traffic(key, TrafficKind.QUERY, frozenset(askers), frozenset(answerers), limit, answer)
-
-
-def _token(key: str, holder: Role, watchers: Set[Role]) -> Traffic:
-    return Traffic(key, TrafficKind.TOKEN, frozenset({holder}), frozenset(watchers))
-
-
 TRAFFIC = (
-    _put(JOBS.work("*"), {COORDINATOR}, {WORKER}, 4 * MIB),
-    _put(JOBS.ctl("*"), {COORDINATOR}, {WORKER}, 256 * KIB),
-    _put(JOBS.result(), {WORKER}, {COORDINATOR}, MAX_PAYLOAD),
-    _put(JOBS.outcome(), {COORDINATOR}, {RECORDER}, 8 * MIB),
-    _put(JOBS.recorded, {RECORDER}, {COORDINATOR}, 4 * KIB),
-    _put(JOBS.stat("worker/*"), {WORKER}, {COORDINATOR}, 64 * KIB),
-    _put(JOBS.stat("job"), {COORDINATOR}, set(), 256 * KIB),
-    _put(JOBS.stat("run/*"), {COORDINATOR}, set(), 256 * KIB),
-    _put(JOBS.stat("team/*"), {COORDINATOR}, set(), 256 * KIB),
-    _put(JOBS.stat(), set(), MONITORING, 256 * KIB),
-    _put(JOBS.meta, {COORDINATOR}, MONITORING, 256 * KIB),
-    _put(JOBS.event(), {COORDINATOR}, MONITORING, 16 * KIB),
-    _query(JOBS.stat(), MONITORING, {COORDINATOR}, 4 * KIB, MIB),
-    _query(JOBS.meta, MONITORING, {COORDINATOR}, 4 * KIB, MIB),
-    _query(JOBS.recent, MONITORING, {COORDINATOR}, 4 * KIB, MIB),
-    _query(JOBS.entries, MONITORING, {RECORDER}, 4 * KIB, MIB),
-    _query(JOBS.objects, MONITORING, {RECORDER}, 4 * KIB, MIB),
-    _query(JOBS.finds, MONITORING, {RECORDER}, 4 * KIB, 2 * MIB),
-    _query(JOBS.recorded_asset(), MONITORING, {RECORDER}, 4 * KIB, MIB),
-    _query(JOBS.join, {WORKER}, {COORDINATOR}, 256 * KIB, 256 * KIB),
-    _query(JOBS.control, {Role.ADMIN}, {COORDINATOR}, 4 * KIB, 16 * KIB),
-    _query(JOBS.asset(), {WORKER, RECORDER}, {COORDINATOR}, 4 * KIB, MIB),
-    _query(JOBS.open, {COORDINATOR}, {RECORDER}, MAX_PAYLOAD, 256 * KIB),
-    _query(JOBS.log, {COORDINATOR}, {RECORDER}, 4 * KIB, 8 * MIB),
-    _token(JOBS.coordinator_token(), COORDINATOR, {COORDINATOR, WORKER, Role.MONITOR}),
-    _token(JOBS.worker_token(), WORKER, {COORDINATOR, Role.MONITOR}),
-    _token(JOBS.recorder_token(), RECORDER, {COORDINATOR, Role.MONITOR}),
+    Traffic(PUT, JOBS.work("*"), {COORDINATOR}, {WORKER}, 4 * MIB),
+    Traffic(PUT, JOBS.ctl("*"), {COORDINATOR}, {WORKER}, 256 * KIB),
+    Traffic(PUT, JOBS.result(), {WORKER}, {COORDINATOR}, MAX_PAYLOAD),
+    Traffic(PUT, JOBS.outcome(), {COORDINATOR}, {RECORDER}, 8 * MIB),
+    Traffic(PUT, JOBS.recorded, {RECORDER}, {COORDINATOR}, 4 * KIB),
+    Traffic(PUT, JOBS.stat("worker/*"), {WORKER}, {COORDINATOR}, 64 * KIB),
+    Traffic(PUT, JOBS.stat("job"), {COORDINATOR}, set(), 256 * KIB),
+    Traffic(PUT, JOBS.stat("run/*"), {COORDINATOR}, set(), 256 * KIB),
+    Traffic(PUT, JOBS.stat("team/*"), {COORDINATOR}, set(), 256 * KIB),
+    Traffic(PUT, JOBS.stat(), set(), MONITORING, 256 * KIB),
+    Traffic(PUT, JOBS.meta, {COORDINATOR}, MONITORING, 256 * KIB),
+    Traffic(PUT, JOBS.event(), {COORDINATOR}, MONITORING, 16 * KIB),
+    Traffic(QUERY, JOBS.stat(), MONITORING, {COORDINATOR}, 4 * KIB, MIB),
+    Traffic(QUERY, JOBS.meta, MONITORING, {COORDINATOR}, 4 * KIB, MIB),
+    Traffic(QUERY, JOBS.recent, MONITORING, {COORDINATOR}, 4 * KIB, MIB),
+    Traffic(QUERY, JOBS.entries, MONITORING, {RECORDER}, 4 * KIB, MIB),
+    Traffic(QUERY, JOBS.objects, MONITORING, {RECORDER}, 4 * KIB, MIB),
+    Traffic(QUERY, JOBS.finds, MONITORING, {RECORDER}, 4 * KIB, 2 * MIB),
+    Traffic(QUERY, JOBS.recorded_asset(), MONITORING, {RECORDER}, 4 * KIB, MIB),
+    Traffic(QUERY, JOBS.join, {WORKER}, {COORDINATOR}, 256 * KIB, 256 * KIB),
+    Traffic(QUERY, JOBS.control, {Role.ADMIN}, {COORDINATOR}, 4 * KIB, 16 * KIB),
+    Traffic(QUERY, JOBS.asset(), {WORKER, RECORDER}, {COORDINATOR}, 4 * KIB, MIB),
+    Traffic(QUERY, JOBS.open, {COORDINATOR}, {RECORDER}, MAX_PAYLOAD, 256 * KIB),
+    Traffic(QUERY, JOBS.log, {COORDINATOR}, {RECORDER}, 4 * KIB, 8 * MIB),
+    Traffic(TOKEN, JOBS.coordinator_token(), {COORDINATOR}, {COORDINATOR, WORKER, Role.MONITOR}),
+    Traffic(TOKEN, JOBS.worker_token(), {WORKER}, {COORDINATOR, Role.MONITOR}),
+    Traffic(TOKEN, JOBS.recorder_token(), {RECORDER}, {COORDINATOR, Role.MONITOR}),
 )
 """All traffic (docs/bus.md, keys)."""
-GIVEN = {TrafficKind.PUT: ["put"], TrafficKind.QUERY: ["query"], TrafficKind.TOKEN: ["liveliness_token"]}
+GIVEN = {PUT: ["put"], QUERY: ["query"], TOKEN: ["liveliness_token"]}
 """Zenoh messages of the giving side: ingress from it, egress to the takers."""
 TAKEN = {
-    TrafficKind.PUT: ["declare_subscriber"],
-    TrafficKind.QUERY: ["declare_queryable", "reply"],
-    TrafficKind.TOKEN: ["declare_liveliness_subscriber", "liveliness_query"],
+    PUT: ["declare_subscriber"],
+    QUERY: ["declare_queryable", "reply"],
+    TOKEN: ["declare_liveliness_subscriber", "liveliness_query"],
 }
 """Zenoh messages of the taking side: ingress from it, egress to the givers."""
 
@@ -144,11 +135,7 @@ def _rule(name: str, messages: list[str], directions: list[str], keys: list[str]
 
 
 def _limits(flow: Traffic) -> list[dict[str, Any]]:
-    sizes = {
-        TrafficKind.PUT: [("put", flow.limit)],
-        TrafficKind.QUERY: [("query", flow.limit), ("reply", flow.answer_limit)],
-        TrafficKind.TOKEN: [],
-    }[flow.kind]
+    sizes = {GIVEN[flow.kind][0]: flow.limit, "reply": flow.answer_limit}
     return [
         {
             "id": f"{message} {flow.key}",
@@ -157,7 +144,8 @@ def _limits(flow: Traffic) -> list[dict[str, Any]]:
             "key_exprs": [flow.key],
             "size_limit": size,
         }
-        for message, size in sizes
+        for message, size in sizes.items()
+        if size
     ]
 
 

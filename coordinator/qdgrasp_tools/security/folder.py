@@ -3,17 +3,139 @@
 import ipaddress
 import os
 import re
-from collections.abc import Sequence
-from datetime import UTC, datetime
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import cast
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_protocol.errors import ImpossibleValue, SecurityError
 from qdgrasp_protocol.keys import NAME
 from qdgrasp_protocol.session import Credentials, Role
-from qdgrasp_tools.security import authority
 from qdgrasp_tools.security.access_list import role_configuration
-from qdgrasp_tools.security.authority import CertificateIdentity
+
+Key = ec.EllipticCurvePrivateKey
+AUTHORITY = "qdgrasp authority"
+CLOCK_SKEW = timedelta(hours=1)  # Certificates begin so long ago, for clocks that are slow
+
+
+@dataclass(frozen=True)
+class CertificateIdentity:
+    """A certificate and its private key."""
+
+    certificate: x509.Certificate
+    key: Key
+
+    @property
+    def certificate_pem(self) -> bytes:
+        """The certificate as PEM."""
+        return self.certificate.public_bytes(serialization.Encoding.PEM)
+
+    @property
+    def key_pem(self) -> bytes:
+        """The key as PEM (PKCS 8), not encrypted: who may read the file has it."""
+        return self.key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        )
+
+    @classmethod
+    def from_pem(cls, certificate: bytes, key: bytes) -> "CertificateIdentity":
+        """Read both from PEM; raises SecurityError for other text or another kind of key."""
+        try:
+            private = serialization.load_pem_private_key(key, None)
+            public = x509.load_pem_x509_certificate(certificate)
+        except (ValueError, TypeError) as error:
+            raise SecurityError(f"The authority's certificate or key cannot be read: {error}") from None
+        return cls(public, cast(Key, private))  # as `security init` writes it
+
+
+def create_authority(days: int, now: datetime | None = None) -> CertificateIdentity:
+    """Make an authority that is good for `days`."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    usage = x509.KeyUsage(
+        digital_signature=False,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=True,
+        crl_sign=True,
+        encipher_only=False,
+        decipher_only=False,
+    )
+    subject = _name(AUTHORITY)
+    builder = (
+        _builder(subject, subject, key, days, now or datetime.now(UTC))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(usage, critical=True)
+        .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+    )
+    return CertificateIdentity(builder.sign(key, hashes.SHA256()), key)
+
+
+def issue_certificate(
+    authority: CertificateIdentity,
+    common_name: str,
+    days: int,
+    *,
+    hosts: Iterable[str] = (),
+    holder: str = "",
+    now: datetime | None = None,
+) -> CertificateIdentity:
+    """Issue a certificate that is good for `days`.
+
+    A role's `common_name` decides on its rights; `hosts` are names and addresses of the router that shows it;
+    `holder` is its owner, for people: a node's name, for example.
+    """
+    key = ec.generate_private_key(ec.SECP256R1())
+    names = [_alternative(host) for host in hosts]
+    uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if names else [])]
+    issuer = authority.certificate
+    builder = (
+        _builder(_name(common_name, holder), issuer.subject, key, days, now or datetime.now(UTC))
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(x509.ExtendedKeyUsage(uses), critical=False)
+        .add_extension(
+            x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()), critical=False
+        )
+    )
+    if names:
+        builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
+    return CertificateIdentity(builder.sign(authority.key, hashes.SHA256()), key)
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: Key, days: int, now: datetime
+) -> x509.CertificateBuilder:
+    return x509.CertificateBuilder(
+        issuer_name=issuer,
+        subject_name=subject,
+        public_key=key.public_key(),
+        serial_number=x509.random_serial_number(),
+        not_valid_before=now - CLOCK_SKEW,
+        not_valid_after=now + timedelta(days=days),
+    )
+
+
+def _name(common_name: str, holder: str = "") -> x509.Name:
+    parts = [x509.NameAttribute(NameOID.COMMON_NAME, common_name)]
+    if holder:
+        parts.append(x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, holder))
+    return x509.Name(parts)
+
+
+def _alternative(host: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ipaddress.ip_address(host))
+    except ValueError:
+        return x509.DNSName(host)
+
 
 PRIVATE_FILE, PRIVATE_FOLDER = 0o600, 0o700
 AUTHORITY_DAYS = 3650  # Longer than the certificates that it issues
@@ -39,7 +161,7 @@ class SecurityFolder:
         check_hosts(hosts)
         out = OutFolder(path, f"name another path, or add to it with `qdgrasp security add {path} ROLE NAME`")
         out.check()
-        root = authority.create_authority(max(days, AUTHORITY_DAYS))
+        root = create_authority(max(days, AUTHORITY_DAYS))
         with out.writing() as made:
             _make_folder(made, root)
             write_private_file(made / "ca.key", root.key_pem)
@@ -98,7 +220,7 @@ def _issue(
 ) -> None:
     """Write certificate, key and configuration of a role into a folder that `files` will name."""
     names = hosts if files.role is Role.ROUTER else ()
-    identity = authority.issue_certificate(root, files.role.common_name, days, hosts=names, holder=holder)
+    identity = issue_certificate(root, files.role.common_name, days, hosts=names, holder=holder)
     write_private_file(made / files.certificate.name, identity.certificate_pem)
     write_private_file(made / files.key.name, identity.key_pem)
     write_private_file(made / files.configuration.name, role_configuration(files, hosts[0]).encode())

@@ -7,9 +7,8 @@ from tests.common import own_endpoint
 
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.security import authority
-from qdgrasp_tools.security.authority import CertificateIdentity
-from qdgrasp_tools.security.folder import SecurityFolder, write_private_file
+from qdgrasp_tools.security import folder as security_folder
+from qdgrasp_tools.security.folder import CertificateIdentity, SecurityFolder, write_private_file
 
 HOSTS = ("localhost", "127.0.0.1")
 
@@ -35,7 +34,7 @@ def certificate_files(
     """Issue a certificate for a day from `now` that trusts routers of `trusts`, else of its signer."""
     place.mkdir()
     files = Credentials(place, Role.WORKER)
-    identity = authority.issue_certificate(signer, common_name, 1, now=now)
+    identity = security_folder.issue_certificate(signer, common_name, 1, now=now)
     write_private_file(files.authority, (trusts or signer).certificate_pem)
     write_private_file(files.certificate, identity.certificate_pem)
     write_private_file(files.key, identity.key_pem)

@@ -22,7 +22,7 @@ from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.messages import Joined
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.security import authority
+from qdgrasp_tools.security import folder as security_folder
 from qdgrasp_tools.security.folder import SecurityFolder
 
 LAST = 100
@@ -30,7 +30,7 @@ Change = Callable[[Path], object]
 
 
 def test_strangers_get_no_session_and_are_told_why(secured: str, folder: Path, tmp_path: Path) -> None:
-    ours, theirs = SecurityFolder(folder).authority, authority.create_authority(1)
+    ours, theirs = SecurityFolder(folder).authority, security_folder.create_authority(1)
     long_ago = datetime.now(UTC) - timedelta(days=2)
     tried = {
         r"it does not take the files of the worker in .* \(TLSV1_ALERT": {"signer": theirs, "trusts": ours},
