@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future, wait
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import TypeVar
+from enum import Enum
+from typing import Any
 
 import structlog
 
@@ -31,58 +32,27 @@ from qdgrasp_protocol.keys import matches, patterns_intersect
 log = structlog.get_logger()
 
 
+class Kind(Enum):
+    """Kinds of declarations."""
+
+    SUBSCRIBER = "subscriber"
+    QUERYABLE = "queryable"
+    TOKEN = "token"  # noqa: S105  # of liveliness
+    WATCHER = "watcher"
+
+
 @dataclass(eq=False)
 class Registration:
     """A declaration of a session on a pattern."""
 
     session: "MemoryBus"
+    kind: Kind
     pattern: str
-
-
-E = TypeVar("E", bound=Registration)
-
-
-class LivelinessToken(Registration):
-    """A liveliness token of a session."""
-
-
-@dataclass(eq=False)
-class Subscriber(Registration):
-    """A session receives messages."""
-
-    handler: SampleHandler
-
-
-@dataclass(eq=False)
-class Queryable(Registration):
-    """A queryable of a session; answers one query at a time, with values by key."""
-
-    handler: ValuesHandler
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    def reply(self, query: Query, answer: "Future[Mapping[str, bytes]]") -> None:
-        """Put the handler's values, or its error, into `answer`."""
-        with self._lock:
-            try:
-                answer.set_result(self.handler(query))
-            except Exception as error:  # noqa: BLE001  # any error is sent to the asker, and logged
-                answer.set_exception(reply_error(error, query.key))
-
-
-@dataclass(eq=False)
-class LivelinessWatcher(Registration):
-    """A session watches tokens; it knows those that were reported alive."""
-
-    handler: TokenHandler
-    _alive: list[str] = field(default_factory=list)
-
-    def update(self, tokens: list[str]) -> None:
-        """Report the changes since the last call to the handler."""
-        before, now = self._alive, [key for key in dict.fromkeys(tokens) if matches(self.pattern, key)]
-        self._alive = now
-        gone, new = [key for key in before if key not in now], [key for key in now if key not in before]
-        for key in gone + new:
-            _call(self.handler, key, key in now)
+    handler: Callable[..., Any] = print
+    """Of a subscriber, a queryable, which answers one query at a time, or a watcher of tokens."""
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    alive: list[str] = field(default_factory=list)
+    """Tokens that a watcher was told to be alive."""
 
 
 class MemoryNetwork:
@@ -109,16 +79,25 @@ class MemoryNetwork:
             self._entries = [entry for entry in self._entries if not is_over(entry)]
             self.report_tokens()
 
-    def visible(self, kind: type[E], session: "MemoryBus") -> list[E]:
+    def visible(self, kind: Kind, session: "MemoryBus") -> list[Registration]:
         """Return the entries of a kind that `session` can reach."""
         with self._lock:
-            return [e for e in self._entries if isinstance(e, kind) and session.reaches(e.session)]
+            return [e for e in self._entries if e.kind is kind and session.reaches(e.session)]
 
     def report_tokens(self) -> None:
-        """Report the tokens that it can see to every watcher."""
+        """Report to every watcher how the tokens that it can see have changed."""
         with self._lock:
-            for watcher in [e for e in self._entries if isinstance(e, LivelinessWatcher)]:
-                watcher.update([token.pattern for token in self.visible(LivelinessToken, watcher.session)])
+            for watcher in [e for e in self._entries if e.kind is Kind.WATCHER]:
+                tokens = [token.pattern for token in self.visible(Kind.TOKEN, watcher.session)]
+                before, now = (
+                    watcher.alive,
+                    [key for key in dict.fromkeys(tokens) if matches(watcher.pattern, key)],
+                )
+                watcher.alive = now
+                for key in [key for key in before if key not in now] + [
+                    key for key in now if key not in before
+                ]:
+                    _call(watcher.handler, key, key in now)
 
 
 class MemoryBus(Bus):
@@ -144,24 +123,22 @@ class MemoryBus(Bus):
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
         """Deliver a message to every subscriber before this call returns."""
-        self._check_open()
         sample = Sample(key, bytes(payload), encoding)
-        for subscriber in self._network.visible(Subscriber, self):
+        for subscriber in self._visible(Kind.SUBSCRIBER):
             if matches(subscriber.pattern, key):
                 _call(subscriber.handler, sample)
 
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
         """Subscribe to messages."""
-        return self._declare(Subscriber(self, pattern, handler))
+        return self._declare(Kind.SUBSCRIBER, pattern, handler)
 
     def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
         """Answer queries with values."""
-        return self._declare(Queryable(self, pattern, handler))
+        return self._declare(Kind.QUERYABLE, pattern, handler)
 
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
         """Query a key."""
-        self._check_open()
-        answerers = [a for a in self._network.visible(Queryable, self) if matches(a.pattern, key)]
+        answerers = [each for each in self._visible(Kind.QUERYABLE) if matches(each.pattern, key)]
         if not answerers:
             raise NoReply(f"Nobody answers {key}.")
         try:
@@ -174,24 +151,22 @@ class MemoryBus(Bus):
 
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
         """Query all matching keys."""
-        self._check_open()
-        answerers, query = self._network.visible(Queryable, self), Query(pattern, "", b"")
-        answers = [_query(a, query) for a in answerers if patterns_intersect(a.pattern, pattern)]
+        answerers, query = self._visible(Kind.QUERYABLE), Query(pattern, "", b"")
+        answers = [_query(each, query) for each in answerers if patterns_intersect(each.pattern, pattern)]
         answered, _ = wait(answers, timeout)
         found = [answer.result() for answer in answers if answer in answered and not answer.exception()]
         return {key: value for values in found for key, value in values.items() if matches(pattern, key)}
 
     def token(self, key: str) -> AbstractContextManager[None]:
         """Declare a liveliness token."""
-        return self._declare(LivelinessToken(self, key))
+        return self._declare(Kind.TOKEN, key)
 
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
         """Watch tokens."""
-        return self._declare(LivelinessWatcher(self, pattern, handler))
+        return self._declare(Kind.WATCHER, pattern, handler)
 
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
         """Report `disconnect` and `reconnect`."""
-        self._check_open()
         self._links.append(handler)
         return Declaration(lambda: self._links.remove(handler))
 
@@ -200,9 +175,13 @@ class MemoryBus(Bus):
         self._is_open = False
         self._network.remove(lambda entry: entry.session is self)
 
-    def _declare(self, entry: Registration) -> Declaration:
+    def _declare(self, kind: Kind, pattern: str, handler: Callable[..., Any] = print) -> Declaration:
         self._check_open()
-        return self._network.add(entry)
+        return self._network.add(Registration(self, kind, pattern, handler))
+
+    def _visible(self, kind: Kind) -> list[Registration]:
+        self._check_open()
+        return self._network.visible(kind, self)
 
     def _set_cut(self, cut: bool) -> None:
         if cut != self._is_cut:
@@ -216,10 +195,18 @@ class MemoryBus(Bus):
             raise BusError("The session is closed.")
 
 
-def _query(answerer: Queryable, query: Query) -> "Future[Mapping[str, bytes]]":
+def _query(answerer: Registration, query: Query) -> "Future[Mapping[str, bytes]]":
     """Return the future answer of a query, made in a thread of its own."""
     answer: Future[Mapping[str, bytes]] = Future()
-    threading.Thread(target=answerer.reply, args=(query, answer), daemon=True).start()
+
+    def reply() -> None:
+        with answerer.lock:
+            try:
+                answer.set_result(answerer.handler(query))
+            except Exception as error:  # noqa: BLE001  # any error is sent to the asker, and logged
+                answer.set_exception(reply_error(error, query.key))
+
+    threading.Thread(target=reply, daemon=True).start()
     return answer
 
 

@@ -13,7 +13,7 @@ from qdgrasp_protocol.errors import EndpointError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.session import Credentials, Endpoint, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.security.folder import SecurityFolder
+from qdgrasp_tools.security import SecurityFolder
 
 ROUND_TRIPS = pytest.mark.parametrize(("round_trip", "loss"), [(0.3, 0.0), (0.6, 0.05)])
 

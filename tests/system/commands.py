@@ -3,12 +3,10 @@
 import json
 import multiprocessing
 import os
-import re
 import resource
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -251,50 +249,3 @@ def _told(name: str) -> str:
         return Path("/proc", name).read_text()
     except (FileNotFoundError, ProcessLookupError):
         return ""
-
-
-class Watched:
-    """A run with two workers on an endpoint of its own, and a page that shows it from some time on."""
-
-    def __init__(self, qdgrasp: Commands, job: str, *flags: object) -> None:
-        self.qdgrasp, self.job, self.folder = qdgrasp, job, qdgrasp.home / "run"
-        endpoint = own_endpoint()
-        self.place = ("--connect", endpoint, "--wait", 120)
-        place = ("--out", "run", "--job", job, "--listen", endpoint)
-        self.run = qdgrasp.start("run", *flags, "--workers", 2, *place)
-
-    def is_watched(self) -> None:
-        """Start the monitor that serves the page."""
-        self.monitor = self.qdgrasp.start("--web", "127.0.0.1:0", *self.place, module=MONITOR)
-        self.address = _address(self.monitor)
-
-    def pauses(self, rows: int) -> None:
-        """Pause the job when so many rows are on disk; workers are stopped so that it does not end."""
-        wait_for(lambda: rows_recorded(self.folder) >= rows, f"{rows} rows")
-        with held(*pids(self.run, "worker")):
-            self._order("pause")
-
-    def goes_on(self) -> None:
-        """Let a job that was paused go on."""
-        self._order("continue")
-
-    def _order(self, command: str) -> None:
-        self.qdgrasp.succeed(command, self.job, *self.place[:2])
-
-    def kill(self, role: str) -> None:
-        """Kill one process of a role."""
-        kill(pids(self.run, role)[0])
-
-    def ends(self) -> None:
-        """Wait for the run's end."""
-        _, err = self.run.communicate(timeout=1800)
-        assert self.run.returncode == 0, err
-
-
-def _address(monitor: subprocess.Popen[str]) -> str:
-    assert monitor.stderr is not None
-    for line in monitor.stderr:
-        if found := re.search(r"http://127\.0\.0\.1:\d+/", line):
-            threading.Thread(target=monitor.stderr.read, daemon=True).start()  # so that it never has to wait
-            return found[0]
-    raise AssertionError("the monitor says no address")

@@ -14,7 +14,7 @@ import qdgrasp
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_protocol.errors import EndedEarly, ImpossibleValue
 from qdgrasp_protocol.session import Role
-from qdgrasp_tools.security.folder import SecurityFolder
+from qdgrasp_tools.security import SecurityFolder
 from qdgrasp_worker.evaluator import Evaluator
 
 SCENE = {"gripper": "panda", "object": "tennis_ball"}

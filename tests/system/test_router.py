@@ -15,7 +15,7 @@ from tests.system.commands import COORDINATOR, RECORDER, ROUTER, WORKER, Command
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.security.folder import SecurityFolder
+from qdgrasp_tools.security import SecurityFolder
 
 KEYS = Keys("mugs")
 

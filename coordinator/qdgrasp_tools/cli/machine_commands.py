@@ -167,7 +167,7 @@ def init(directory: Directory, host: Hosts = None, days: Days = 365) -> None:
 
     Example: qdgrasp security init security --host head --host 10.0.0.1
     """
-    from qdgrasp_tools.security.folder import SecurityFolder  # cryptography takes a while to load
+    from qdgrasp_tools.security import SecurityFolder  # cryptography takes a while to load
 
     made = SecurityFolder.create(directory, hosts=_router_hosts(host), days=days)
     echo(
@@ -190,7 +190,7 @@ def add(
 
     Example: qdgrasp security add security worker lab-7
     """  # noqa: D205  # typer joins the lines
-    from qdgrasp_tools.security.folder import SecurityFolder
+    from qdgrasp_tools.security import SecurityFolder
 
     place = SecurityFolder(directory).add(role, name, hosts=_router_hosts(host), days=days)
     echo(f"{place} holds a certificate of the {role}, good for {counted(days, 'day')}: copy it to {name}.")

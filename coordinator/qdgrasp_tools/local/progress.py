@@ -1,7 +1,6 @@
 """Progress on standard error: a moving bar on a terminal, now and then a line elsewhere."""
 
 import sys
-import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -102,36 +101,20 @@ def progress_messages() -> Iterator[Tell]:
     """Yield a function that shows what a command does; nothing is left on a terminal."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        with repeat_latest(_print_line, QUIET_INTERVAL) as tell:
-            yield tell
+        due = time.monotonic() + QUIET_INTERVAL
+
+        def tell(sentence: str) -> None:
+            nonlocal due
+            if time.monotonic() >= due:
+                due = time.monotonic() + QUIET_INTERVAL
+                _print_line(sentence)
+
+        yield tell
         return
     columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as shown:
         task = shown.add_task("")
         yield lambda sentence: shown.update(task, description=printable(sentence))
-
-
-@contextmanager
-def repeat_latest(say: Tell, interval: float) -> Iterator[Tell]:
-    """Yield a function for sentences; the latest is said every `interval` s, with its age."""
-    latest, over = ("starting", time.monotonic()), threading.Event()
-
-    def note(sentence: str) -> None:
-        nonlocal latest
-        latest = sentence, time.monotonic()
-
-    def repeat() -> None:
-        while not over.wait(interval):
-            sentence, since = latest
-            say(f"{sentence}, {time.monotonic() - since:.0f} s")
-
-    thread = threading.Thread(target=repeat, name="repeat-latest", daemon=True)
-    thread.start()
-    try:
-        yield note
-    finally:
-        over.set()
-        thread.join()
 
 
 def _print_line(sentence: str) -> None:

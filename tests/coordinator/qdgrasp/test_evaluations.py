@@ -17,7 +17,7 @@ from qdgrasp_coordinator.search.fixed_poses import check_given
 from qdgrasp_protocol.errors import EndpointError, ImpossibleValue, InputError, SecurityError
 from qdgrasp_protocol.rows import Gene, Layout
 from qdgrasp_protocol.session import Role
-from qdgrasp_tools.security.folder import SecurityFolder
+from qdgrasp_tools.security import SecurityFolder
 
 TWO = Layout("contact", (Gene("nu", 0.0, 1.0), Gene("d", 0.0, 0.1)))
 POSE = Layout("given", (Gene("x", -1.0, 1.0), Gene("y", -1.0, 1.0)))

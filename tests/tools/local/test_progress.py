@@ -1,8 +1,6 @@
 """Progress of a job on a terminal and elsewhere."""
 
 import io
-import threading
-from queue import SimpleQueue
 
 import pytest
 from msgspec.structs import replace
@@ -10,7 +8,7 @@ from rich.console import Console
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_tools.local import progress
-from qdgrasp_tools.local.progress import LineProgress, LiveProgress, ProgressBar, repeat_latest
+from qdgrasp_tools.local.progress import LineProgress, LiveProgress, ProgressBar
 
 EVIL = "\x1b[2J"
 FIGURES = JobStatus(
@@ -72,21 +70,6 @@ def test_what_a_coordinator_says_is_escaped(capsys: pytest.CaptureFixture[str]) 
     for said in (capsys.readouterr().err, "\n".join(seen(figures, 200))):
         assert r"paused: \x1b[2J" in said
         assert EVIL not in said
-
-
-PATIENCE = 60.0
-
-
-def test_the_latest_sentence_is_said_again_and_again_until_the_end() -> None:
-    said: SimpleQueue[str] = SimpleQueue()
-    with repeat_latest(said.put, 0.001) as tell:
-        tell("reading mugs.yaml")
-        lines = {said.get(timeout=PATIENCE) for _ in range(3)}
-        assert lines <= {"starting, 0 s", "reading mugs.yaml, 0 s"}
-        tell("writing")
-        while not said.get(timeout=PATIENCE).startswith("writing, "):
-            pass
-    assert "repeat-latest" not in {thread.name for thread in threading.enumerate()}
 
 
 def test_a_terminal_shows_it_and_is_left_clean(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,8 +7,8 @@ from tests.common import own_endpoint
 
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.security import folder as security_folder
-from qdgrasp_tools.security.folder import CertificateIdentity, SecurityFolder, write_private_file
+from qdgrasp_tools import security as security_folder
+from qdgrasp_tools.security import CertificateIdentity, SecurityFolder, write_private_file
 
 HOSTS = ("localhost", "127.0.0.1")
 

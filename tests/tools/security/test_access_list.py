@@ -18,8 +18,7 @@ from qdgrasp_protocol.errors import NoReply, Refused
 from qdgrasp_protocol.keys import matches
 from qdgrasp_protocol.session import Credentials, Role, session_settings
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.security.access_list import TRAFFIC, TrafficKind, access_list, role_configuration
-from qdgrasp_tools.security.folder import SecurityFolder
+from qdgrasp_tools.security import TRAFFIC, SecurityFolder, TrafficKind, access_list, role_configuration
 
 DEPLOYED = Path(__file__).resolve().parents[3] / "deploy" / "zenoh"
 JOB, GUEST = "probe", "guest"

@@ -9,7 +9,7 @@ from cryptography import x509
 
 from qdgrasp_protocol.errors import ImpossibleValue, OutputError, SecurityError
 from qdgrasp_protocol.session import Credentials, Role
-from qdgrasp_tools.security.folder import SecurityFolder
+from qdgrasp_tools.security import SecurityFolder
 
 HOSTS = ["head", "10.0.0.1", "::1"]
 

@@ -22,8 +22,8 @@ from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.messages import Joined
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.security import folder as security_folder
-from qdgrasp_tools.security.folder import SecurityFolder
+from qdgrasp_tools import security as security_folder
+from qdgrasp_tools.security import SecurityFolder
 
 LAST = 100
 Change = Callable[[Path], object]

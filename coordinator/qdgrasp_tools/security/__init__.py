@@ -1,1 +1,0 @@
-"""Certificates, access lists, and the check that they hold (docs/security.md)."""
