@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from qdgrasp_assets.genes import PRIOR_GENES, layout
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.scheduler.run_plan import absolute_asset
-from qdgrasp_coordinator.search.fixed_poses import PoseNames
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import GIVEN, Genomes, Layout
 from qdgrasp_protocol.spec import BaseName, EngineChoice, ProtocolName, RunSpec, run_spec
@@ -82,12 +81,6 @@ def spec_from_arguments(scene_arguments: SceneArguments, **more: Any) -> RunSpec
         if name in values:
             values[name] = absolute_asset(values[name])
     return run_spec(values, "qdgrasp")
-
-
-POSE_COLUMNS = PoseNames(
-    "genomes (x y z)", "genomes (qx qy qz qw)", "genomes (synergy)", "genomes (free joints)"
-)
-"""Names of the columns of genomes of the prior `given`, for error messages."""
 
 
 def layout_of(scene: Scene, prior: str) -> Layout:

@@ -13,7 +13,7 @@ from typing import Self, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp.arguments import POSE_COLUMNS, SceneArguments, check_genomes, layout_of, spec_from_arguments
+from qdgrasp.arguments import SceneArguments, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
 from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
@@ -25,7 +25,7 @@ from qdgrasp_coordinator.scheduler.run_plan import (
     prepare_scene,
     row_shape,
 )
-from qdgrasp_coordinator.search.fixed_poses import HandPoses, PoseNames, check_given, scores
+from qdgrasp_coordinator.search.fixed_poses import HandPoses, check_given, scores
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
@@ -190,7 +190,7 @@ class Evaluations:
         if not len(asked):
             return row_shape(self.scene, self.prior).empty(0)
         if self.prior == GIVEN:
-            check_given(POSE_COLUMNS, asked, self.scene.gripper)
+            check_given("genomes: ", asked, self.scene.gripper)
         request = GenomeRequest(
             plan_genomes(self.spec, self._prepared, self.prior, asked, f"lot-{next(self._count)}")
         )
@@ -229,9 +229,6 @@ class Evaluations:
     def _leave(self) -> None:
         self._stop.set(signal.SIGTERM)
         self._queue.close()
-
-
-POSE_KEYWORDS = PoseNames("positions", "quaternions_xyzw", "synergies", "spreads")
 
 
 def evaluate(
@@ -278,7 +275,7 @@ def evaluate(
     >>> scores["success"], scores["fitness"]
     (array([ True]), array([2], dtype=uint8))
     """
-    poses = HandPoses.of(POSE_KEYWORDS, positions, quaternions_xyzw, synergies, spreads)
+    poses = HandPoses.of(positions, quaternions_xyzw, synergies, spreads)
     evaluations = Evaluations(prior=GIVEN, place=place, **scenery)
     genomes = poses.genomes(evaluations.scene)
     place.check_hands()

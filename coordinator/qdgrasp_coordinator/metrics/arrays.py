@@ -35,7 +35,7 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[np.generic]]:
 REAL = "fiu"  # Kinds of arrays that hold real numbers
 
 
-def real_numbers(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> NDArray[np.float64]:
+def real_numbers(name: str, values: ArrayLike | None, shape: tuple[int | str, ...]) -> NDArray[np.float64]:
     """Return real numbers of a shape as float64; NaN and infinity are allowed.
 
     The shape is a length for each axis, or a letter where any will do: ("n", 3). Other values raise
@@ -52,14 +52,6 @@ def real_numbers(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> 
     if array.ndim != len(shape) or not all(isinstance(length, str) or length == n for n, length in pairs):
         raise ImpossibleValue(name, array.shape, expected)
     return array.astype(np.float64)
-
-
-def finite_numbers(name: str, values: ArrayLike, shape: tuple[int | str, ...]) -> NDArray[np.float64]:
-    """Return real numbers of a shape as `real_numbers` does; NaN and infinity are refused."""
-    array = real_numbers(name, values, shape)
-    if not np.isfinite(array).all():
-        raise InputError(f"{name} holds a number that is not finite.")
-    return array
 
 
 def row_bytes(rows: Rows) -> NDArray[np.void]:

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_assets.scene import Scene, SceneGripper
-from qdgrasp_coordinator.metrics.arrays import finite_numbers, read_arrays, real_numbers
+from qdgrasp_coordinator.metrics.arrays import read_arrays, real_numbers
 from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.metrics.successes import NO_TRIALS, TrialPlan, all_successes
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
@@ -20,17 +19,8 @@ SHORTEST = 1e-6  # Least length of a quaternion that names a rotation
 FARTHEST = 1000.0  # Greatest coordinate of hands and centres of mass [m]; farther, float32 loses digits
 
 
-class PoseNames(NamedTuple):
-    """Names of the arrays of poses where they come from, for errors."""
-
-    positions: str
-    quaternions: str
-    synergies: str
-    spreads: str
-
-
-IN_SPECS = PoseNames("poses (x y z)", "poses (qx qy qz qw)", "poses (synergy)", "poses (free joints)")
-IN_FILES = PoseNames("base_position", "base_quaternion_xyzw", "synergy", "spread")
+ARRAYS = ("base_position", "base_quaternion_xyzw", "synergy", "spread")
+"""The arrays of a file of poses, in the order of the fields of `HandPoses`."""
 
 
 @dataclass(frozen=True)
@@ -45,36 +35,41 @@ class HandPoses:
     """(n,) labels; -1: no synergy."""
     spreads: NDArray[np.float64]
     """(n, k) positions of the free joints [rad or m]; NaN: the open posture."""
-    names: PoseNames
+    where: str
+    """Where they come from, for errors: a word or file with a colon, or nothing."""
 
     @classmethod
     def of(
         cls,
-        names: PoseNames,
-        positions: ArrayLike,
-        quaternions: ArrayLike,
+        positions: ArrayLike | None,
+        quaternions_xyzw: ArrayLike | None,
         synergies: ArrayLike | None = None,
         spreads: ArrayLike | None = None,
+        where: str = "",
     ) -> "HandPoses":
         """Make poses from arrays as in the fields; a NaN label, or None: no synergy, open posture.
 
         Raises `InputError` where an array has another type or shape, or an impossible number, or no pose.
         """
-        places = finite_numbers(names.positions, positions, ("n", 3))
+        places = real_numbers(f"{where}positions", positions, ("n", 3))
         n = len(places)
-        rotations = finite_numbers(names.quaternions, quaternions, (n, 4))
-        labels = np.full(n, np.nan) if synergies is None else real_numbers(names.synergies, synergies, (n,))
-        free = np.full((n, 0), np.nan) if spreads is None else real_numbers(names.spreads, spreads, (n, "k"))
+        rotations = real_numbers(f"{where}quaternions_xyzw", quaternions_xyzw, (n, 4))
+        given = np.full(n, np.nan) if synergies is None else synergies
+        labels = np.nan_to_num(real_numbers(f"{where}synergies", given, (n,)), nan=NO_SYNERGY)
+        given = np.full((n, 0), np.nan) if spreads is None else spreads
+        free = real_numbers(f"{where}spreads", given, (n, "k"))
         if not n:
-            raise InputError(f"{names.positions} holds no poses.")
-        if len(far := places[np.abs(places) > FARTHEST]):
-            expected = f"no more than {FARTHEST:g} m away; lengths are metres"
-            raise ImpossibleValue(names.positions, float(far[0]), expected)
-        if (np.linalg.norm(rotations, axis=1) < SHORTEST).any():
-            raise InputError(f"{names.quaternions} holds a quaternion of length zero, which is no rotation.")
-        if len(wide := free[np.abs(free) > FARTHEST]):
-            raise ImpossibleValue(names.spreads, float(wide[0]), f"within {FARTHEST:g} rad or m of 0")
-        return cls(places, rotations, _integer_labels(names.synergies, labels), free, names)
+            raise InputError(f"{where}positions holds no poses.")
+        lengths = np.linalg.norm(rotations, axis=1)
+        for name, values, is_right, expected in (
+            ("positions", places, np.abs(places) <= FARTHEST, f"no more than {FARTHEST:g} m away; in metres"),
+            ("quaternions_xyzw", lengths, (lengths > SHORTEST) & (lengths < np.inf), "not of length zero"),
+            ("synergies", labels, np.isin(labels, np.arange(-128, 128)), "integers"),
+            ("spreads", free, ~(np.abs(free) > FARTHEST), f"within {FARTHEST:g} rad or m of 0"),
+        ):
+            if not is_right.all():
+                raise ImpossibleValue(f"{where}{name}", float(values[~is_right][0]), expected)
+        return cls(places, rotations, labels.astype(np.int64), free, where)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -85,13 +80,13 @@ class HandPoses:
         wrong = self.synergies[(self.synergies < NO_SYNERGY) | (self.synergies >= known)]
         if len(wrong):
             labels = f"-1 (none) or 0 to {known - 1} for this hand" if known else "-1, for the hand has none"
-            raise ImpossibleValue(self.names.synergies, int(wrong[0]), labels)
+            raise ImpossibleValue(f"{self.where}synergies", int(wrong[0]), labels)
         behind = self.spreads[:, free:]
         if len(given := behind[~np.isnan(behind)]):
             columns = (
                 f"NaN but in the first {free} columns" if free else "NaN, for the hand has no free joints"
             )
-            raise ImpossibleValue(self.names.spreads, float(given[0]), columns)
+            raise ImpossibleValue(f"{self.where}spreads", float(given[0]), columns)
 
     def genomes(self, scene: Scene) -> NDArray[np.float32]:
         """Return genomes of the prior `given` (assets, `layout`): pose, then synergy, free joints."""
@@ -112,28 +107,26 @@ class HandPoses:
         return np.where(np.isnan(given), default, given)
 
 
-def check_given(names: PoseNames, genomes: Genomes, hand: SceneGripper) -> None:
+def check_given(where: str, genomes: Genomes, hand: SceneGripper) -> None:
     """Check genomes (n, d) of the prior `given`: as `HandPoses.of`, and for a hand."""
     labels, own = (genomes[:, 7], 8) if hand.synergies else (None, 7)
-    HandPoses.of(names, genomes[:, :3], genomes[:, 3:7], labels, genomes[:, own:]).check(hand)
+    HandPoses.of(genomes[:, :3], genomes[:, 3:7], labels, genomes[:, own:], where).check(hand)
 
 
 def check_spec_poses(spec: RunSpec, hand: SceneGripper, genes: int) -> None:
     """Check the poses of a spec, if it has any, for a hand and genomes of so many genes."""
     if spec.poses:
         fixed_pose_search(spec, genes)
-        check_given(IN_SPECS, np.array(spec.poses, np.float32), hand)
+        check_given("poses: ", np.array(spec.poses, np.float32), hand)
 
 
 def read_poses(path: Path) -> HandPoses:
     """Return the poses in an npz file; `InputError` as in `read_arrays` and `HandPoses.of`."""
     arrays = read_arrays(path, "poses")
-    for name in (IN_FILES.positions, IN_FILES.quaternions):
-        if name not in arrays:
-            raise InputError(f"{path} has no array '{name}'; it has {', '.join(sorted(arrays)) or 'none'}.")
-    names = PoseNames(*(f"{path}: {name}" for name in IN_FILES))
-    first, second, *others = IN_FILES
-    return HandPoses.of(names, arrays[first], arrays[second], *map(arrays.get, others))
+    if lacking := [name for name in ARRAYS[:2] if name not in arrays]:
+        raise InputError(f"{path} has no array '{lacking[0]}'; it has {', '.join(sorted(arrays)) or 'none'}.")
+    places, rotations, labels, free = map(arrays.get, ARRAYS)
+    return HandPoses.of(places, rotations, labels, free, f"{path}: ")
 
 
 def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:
@@ -184,16 +177,6 @@ def _unit_quaternions(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Normalise quaternions (n, 4); those of length one within float32 rounding stay as stored."""
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
     return np.where(np.abs(lengths - 1.0) < ROUNDING, quaternions, quaternions / lengths)
-
-
-def _integer_labels(name: str, labels: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return labels (n,) as integers; NaN: `NO_SYNERGY`."""
-    labels = np.where(np.isnan(labels), NO_SYNERGY, labels)
-    with np.errstate(invalid="ignore"):
-        integers = labels.astype(np.int64)
-    if len(wrong := labels[integers != labels]):
-        raise ImpossibleValue(name, float(wrong[0]), "integers")
-    return integers
 
 
 class FixedPoseSearch:

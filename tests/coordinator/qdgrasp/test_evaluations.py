@@ -10,7 +10,7 @@ from tests.coordinator.scenes import jaw
 from tests.tools.monitor.sample_jobs import figures
 
 import qdgrasp
-from qdgrasp.arguments import POSE_COLUMNS, check_genomes
+from qdgrasp.arguments import check_genomes
 from qdgrasp.backend import ROUTER_SECONDS, SilentProgress
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_coordinator.search.fixed_poses import check_given
@@ -53,17 +53,17 @@ def test_genomes_of_another_shape_or_outside_their_intervals_are_refused(given, 
     ("pose", "wanted"),
     [
         ([0, 0, 0, 0, 0, 0, 0], "length zero"),
-        ([1e9, 0, 0, 0, 0, 0, 1], "x y z"),
-        ([0, 0, 0, 0, 0, 0, 1, 2], "synergy.* 0 to 1 for this hand, got 2"),
-        ([0, 0, 0, 0, 0, 0, 1, 0.5], "synergy"),
-        ([0, 0, 0, 0, 0, 0, 1, 1, 1e30], "free joints.* within 1000 rad or m of 0"),
+        ([1e9, 0, 0, 0, 0, 0, 1], "positions"),
+        ([0, 0, 0, 0, 0, 0, 1, 2], "synergies.* 0 to 1 for this hand, got 2"),
+        ([0, 0, 0, 0, 0, 0, 1, 0.5], "synergies"),
+        ([0, 0, 0, 0, 0, 0, 1, 1, 1e30], "spreads.* within 1000 rad or m of 0"),
     ],
 )
 def test_what_no_hand_can_take_is_no_pose(pose: list[float], wanted: str) -> None:
     synergies = tuple(Synergy(name=name, joints=("finger",)) for name in "ab")
     hand = msgspec.structs.replace(jaw("jaw"), synergies=synergies if len(pose) > 7 else ())
     with pytest.raises(InputError, match=wanted):
-        check_given(POSE_COLUMNS, np.array([pose], np.float32), hand)
+        check_given("genomes: ", np.array([pose], np.float32), hand)
 
 
 ABOVE, DOWN = [[0.0, 0.0, 0.15]], [[1.0, 0.0, 0.0, 0.0]]
