@@ -2,7 +2,6 @@
 
 import threading
 import time
-from base64 import b64encode
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
@@ -10,7 +9,6 @@ from datetime import UTC, datetime
 from queue import Queue
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace
@@ -19,6 +17,7 @@ from starlette.routing import BaseRoute
 from starlette.testclient import TestClient
 from tests import browser
 from tests.common import PATIENCE, free_port
+from tests.coordinator.scenes import made_scene
 from tests.tools.monitor import sample_jobs
 
 from qdgrasp_assets.scene import Scene
@@ -39,7 +38,6 @@ from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
 from qdgrasp_tools.monitor.records import JournalId, RecordPage, row_commands
-from qdgrasp_tools.monitor.web import scene_data
 from qdgrasp_tools.monitor.web.run_cache import JobCaches
 from qdgrasp_tools.monitor.web.server import Access, application, live_routes, serve
 
@@ -164,79 +162,6 @@ def _worker(number: int, is_gone: bool, told: int) -> WorkerStatus:
     return sample_jobs.worker(number, state="gone" if is_gone else "working", rows=told // 4, **own, **doing)
 
 
-@dataclass
-class FakeRun:
-    """A run without successes."""
-
-    name: str
-
-    def scene(self) -> bytes:
-        if self.name != "mug" and not self.name.startswith("panda"):
-            raise UnknownName("run", self.name, ["mug"])
-        return msgspec.json.encode(STAGE)
-
-    def cells(self, first: int) -> bytes:
-        return scene_data.HEADER.pack(scene_data.MARK, 0, first, 0, 0, 7)
-
-    def grasp(self, number: int) -> bytes:
-        return b'{"number":%d}' % number
-
-    def picture(self, number: int) -> bytes:
-        return b"picture %d" % number
-
-    def settings(self) -> bytes:
-        return b'{"method":"aimed"}'
-
-
-class FakeLibrary:
-    """A library of runs without successes; it has no list of those of the job `hands`."""
-
-    def run(self, job: str, run: str) -> FakeRun:
-        return FakeRun(run)
-
-    def runs(self, job: str) -> bytes:
-        if job == "hands":
-            raise NoReply("nobody answers")
-        return b'{"runs":[],"next":0,"uncounted":0}'
-
-    def objects(self, job: str) -> ObjectListings:
-        raise NoReply("nobody answers")
-
-    def object_runs(self, job: str, file: str) -> bytes:
-        return b'{"runs":[],"next":0,"uncounted":0}'
-
-    def curve(self, job: str, run: str) -> bytes:
-        return b'{"run":"","points":[]}'
-
-    def object_picture(self, job: str, run: str) -> bytes:
-        raise UnknownName("run", run, ["mug"])
-
-
-CORNERS = np.array([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0], [0, 0, 0.05]], "<f4")
-SIDES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], "<u4")
-MESH = scene_data.TriangleMesh(b64encode(CORNERS.tobytes()).decode(), b64encode(SIDES.tobytes()).decode())
-STAGE = scene_data.BrowserScene(
-    gripper="panda",
-    object="mug",
-    base="palm",
-    com_in_mesh=(0, 0, 0.02),
-    synergies=("pinch", "power"),
-    scored=True,
-    cell=0.01,
-    low=(0, 0, 0),
-    high=(0.05, 0.05, 0.05),
-    reach=0.2,
-    kinds=[
-        scene_data.SuccessKind(5, "no disturbance survived", "#bdb7ad"),
-        scene_data.SuccessKind(6, "one", "#f2a431"),
-        scene_data.SuccessKind(7, "both", "#2a73b9"),
-    ],
-    mesh=MESH,
-    links=[scene_data.LinkMesh("palm", False, MESH)],
-    origin=7,
-)
-
-
 def finds(
     numbers: ArrayLike,
     places: ArrayLike,
@@ -279,9 +204,7 @@ class HandMadeRecords:
     rows: int = 0
     on_a_page: int = 4
     asked: int = 0
-    run: str = "run"
     origin: JournalId = ORIGIN
-    listed: int = 0
     now: float = 100.0
 
     def record(self, found: SuccessTable) -> None:
@@ -300,8 +223,8 @@ class HandMadeRecords:
 
     def page(self, job: str, run: str, first: int) -> RecordPage:
         self.asked += 1
-        if run != self.run:
-            raise UnknownName("run", run, [self.run])
+        if run == "other":
+            raise UnknownName("run", run, ["mug"])
         start = int(np.searchsorted(self.found["number"], first))
         shown = self.found[start : start + self.on_a_page]
         more = start + self.on_a_page < len(self.found)
@@ -310,7 +233,8 @@ class HandMadeRecords:
         )
 
     def entries(self, job: str) -> RunListings:
-        self.listed += 1
+        if job == "hands":
+            raise NoReply("nobody answers")
         return RunListings(runs=[])
 
     def entry(self, job: str, run: str) -> RunListing | None:
@@ -357,19 +281,22 @@ def feed() -> FakeFeed:
     return FakeFeed().step().step().step()
 
 
-def client(
-    feed: FakeFeed, access: Access | None = None, library: FakeLibrary | JobCaches | None = None
-) -> TestClient:
+def no_finds() -> JobCaches:
+    """Records of the run `mug` and those of the job `hands`, without successes."""
+    return JobCaches(HandMadeRecords(made_scene()))  # type: ignore[arg-type]  # it has what is asked
+
+
+def client(feed: FakeFeed, access: Access | None = None, library: JobCaches | None = None) -> TestClient:
     """A client on this machine."""
-    app = application(live_routes(feed, library or FakeLibrary(), Stop()), access or Access(local=True))
+    app = application(live_routes(feed, library or no_finds(), Stop()), access or Access(local=True))
     return TestClient(app, base_url="http://localhost:8080", follow_redirects=False)
 
 
 def serving(
-    feed: FakeFeed, port: int = 0, token: str = "", library: FakeLibrary | JobCaches | None = None
+    feed: FakeFeed, port: int = 0, token: str = "", library: JobCaches | None = None
 ) -> AbstractContextManager[str]:
     """A server of a live page in a thread; gives its address, and ends it in the end."""
-    return serving_routes(lambda stop: live_routes(feed, library or FakeLibrary(), stop), port, token)
+    return serving_routes(lambda stop: live_routes(feed, library or no_finds(), stop), port, token)
 
 
 @contextmanager

@@ -12,8 +12,7 @@ from tests.coordinator.scenes import made_scene
 from tests.tools.monitor.sample_jobs import event, run, values
 from tests.tools.monitor.web.conftest import (
     FakeFeed,
-    FakeLibrary,
-    FakeRun,
+    HandMadeRecords,
     client,
     serving,
 )
@@ -24,6 +23,7 @@ from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
 from qdgrasp_tools.campaign.summaries import ObjectRun, list_objects
+from qdgrasp_tools.monitor.web.run_cache import JobCaches
 from qdgrasp_tools.rendering.views import object_picture
 
 Page = Any
@@ -52,10 +52,11 @@ def library() -> list[ObjectRun]:
     return runs
 
 
-class ObjectLibrary(FakeLibrary):
+class ObjectLibrary(JobCaches):
     """A library of the job `parts`; counts the pictures that it was asked for."""
 
     def __init__(self) -> None:
+        super().__init__(HandMadeRecords(made_scene()))
         self.listings = list_objects(library(), SKIPPED)
         self.pictured: set[str] = set()
         self.png = object_picture(made_scene(), 96)
@@ -74,9 +75,6 @@ class ObjectLibrary(FakeLibrary):
             for name in names
         ]
         return to_json(RunListings(runs=listings))
-
-    def run(self, job: str, run: str) -> FakeRun:
-        return FakeRun("mug")
 
     def object_picture(self, job: str, run: str) -> bytes:
         self.pictured.add(run)

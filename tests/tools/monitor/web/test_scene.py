@@ -75,7 +75,7 @@ Page = Any
 @pytest.fixture
 def records() -> HandMadeRecords:
     links = ("palm", "left_finger", "right_finger")
-    made = HandMadeRecords(with_gripper(made_scene(), links=links), run="mug")
+    made = HandMadeRecords(with_gripper(made_scene(), links=links))
     made.record(FEW)
     return made
 
@@ -226,7 +226,7 @@ SCORED = finds(
 def scored() -> HandMadeRecords:
     named = tuple(Synergy(name=name, joints=("left",)) for name in ("pinch", "power"))
     scene = replace(with_gripper(made_scene(), synergies=named), protocol="robust")
-    made = HandMadeRecords(scene, run="mug")
+    made = HandMadeRecords(scene)
     made.record(SCORED)
     return made
 
@@ -277,7 +277,7 @@ CLOSED = finds(
 @pytest.fixture
 def closed(chromium: Any) -> Iterator[tuple[Page, str]]:
     """A page with its filters open, and its address."""
-    records = HandMadeRecords(made_scene(), run="mug")
+    records = HandMadeRecords(made_scene())
     records.record(CLOSED)
     with serving_records(records) as found:
         for page in visited(chromium, found):
