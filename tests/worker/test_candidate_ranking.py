@@ -1,18 +1,12 @@
 """The screen and its features, and the simulated candidate of a genome with several."""
 
-from contextlib import closing
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from tests.worker.genomes import RANKED_BY, above, decoded, encoded, facing
+from tests.worker.genomes import RANKED_BY, decoded, encoded, facing
 
-from qdgrasp_assets.genes import GRIP_FEATURES, TOUCH_VALUE
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.candidate_ranking import PoseFeatures, scores, thresholds
-from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
+from qdgrasp_worker.candidate_ranking import scores, thresholds
 from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.object_geometry import ObjectSolid
 
 N = 40
 POSE = ("outcome", "fitness", "base_to_object", "joints", "contacts", "penetration")
@@ -87,22 +81,6 @@ def test_the_best_candidate_that_promises_enough_and_does_not_overlap_is_simulat
     assert refused
 
 
-def test_a_value_is_that_of_the_formula_rounded_and_demanded_where_the_last_gene_is_above_zero():
-    random = np.random.default_rng(0)
-    features = random.uniform(-1, 1, (200, 13)).astype(np.float32)
-    weights = random.normal(0, 2, (200, 27))
-    touch, quality = (
-        1 / (1 + np.exp(-(features * some).sum(axis=1))) for some in (weights[:, :13], weights[:, 13:26])
-    )
-    found = scores(features, weights)
-    np.testing.assert_allclose(found, touch * (TOUCH_VALUE + (1 - TOUCH_VALUE) * quality), atol=6e-7)
-    assert (found == found.round(6)).all()
-    assert np.ptp(found) > 0.9
-    assert scores(features[7:8], weights[7:8]) == found[7]
-    expected = np.where(weights[:, 26] > 0, weights[:, 26], -np.inf)
-    np.testing.assert_array_equal(thresholds(weights), expected)
-
-
 def test_a_trial_disturbs_the_pose_that_was_taken_at_first(evaluator, rows, genomes):
     found = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)[:6]
     assert len(found) == 6
@@ -112,26 +90,3 @@ def test_a_trial_disturbs_the_pose_that_was_taken_at_first(evaluator, rows, geno
         alone = rows_of(evaluator, "given", rows["base_to_object"][found], trial)
         for name in POSE:
             assert alone[name].tobytes() == again[name].tobytes(), name
-
-
-@pytest.fixture(scope="module")
-def grip(scene):
-    """The grip features of the Panda over the cube, by how it is moved."""
-    with closing(BulletShakenWorld(scene)) as world:
-        features = PoseFeatures(scene, ObjectSolid(scene), world.closing)
-
-        def find(*moves):
-            poses = np.array([above(scene, **move) for move in moves], np.float32)
-            grasps = replace(decoded(scene, "given", poses), prior="valued")
-            found = features.features(grasps, np.arange(len(poses)))[:, 5:-1].T
-            return dict(zip(GRIP_FEATURES, found, strict=True))
-
-        yield find
-
-
-def test_two_fingers_before_opposite_sides_are_more_square_than_before_edges(grip):
-    square, edgewise = (grip({"roll": roll}) for roll in (0.0, np.pi / 4))
-    assert square["fingers"].tolist() == edgewise["fingers"].tolist() == [1.0]
-    for name in ("squareness", "alignment"):
-        assert 0.3 < edgewise[name][0] < square[name][0] - 0.1
-    assert square["opposition"][0] > 0.5

@@ -126,27 +126,6 @@ class TestCone:
             inward /= np.linalg.norm(inward, axis=1, keepdims=True)
             np.testing.assert_allclose(pointed, inward, atol=5e-6)
 
-    def test_turns_about_the_normal_by_xi(self, decoder, genomes, grasps, normals):
-        turned = genomes.copy()
-        turned[:, 5] = -genomes[:, 5]
-        angles = values_of(decoder, turned)["xi"] - values_of(decoder, genomes)["xi"]
-        turns = Rotation.from_rotvec(normals * angles[:, None])
-        expected = grasps.surface_points + turns.apply(grasps.positions - grasps.surface_points)
-        np.testing.assert_allclose(decoder(turned).positions, expected, atol=1e-6)
-
-    def test_rolls_about_the_approach_axis_by_omega_and_stays_where_it_is(
-        self, decoder, genomes, grasps, cube
-    ):
-        rolled = genomes.copy()
-        rolled[:, 6] = -genomes[:, 6]
-        other = decoder(rolled)
-        np.testing.assert_array_equal(grasps.positions, other.positions)
-        angles = values_of(decoder, rolled)["omega"] - values_of(decoder, genomes)["omega"]
-        rolls = Rotation.from_rotvec(np.array(cube.gripper.approach_axis) * angles[:, None])
-        expected = Rotation.from_quat(grasps.quaternions) * rolls
-        difference = (expected.inv() * Rotation.from_quat(other.quaternions)).magnitude()
-        np.testing.assert_allclose(difference, 0.0, atol=2e-6)
-
 
 def test_a_given_pose_that_was_stored_is_decoded_to_its_own_bits(cube):
     stored = decoder_of(cube, "contact")(draw(300))

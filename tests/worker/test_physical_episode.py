@@ -10,16 +10,13 @@ from tests.worker.genomes import draw, evaluated, results
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Outcome
-from qdgrasp_protocol.spec import RunSpec, run_spec
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import APPROACH_STEP, EpisodeResult, approach_path
 from qdgrasp_worker.evaluation_protocols import (
     PHYSICAL,
-    PROTOCOLS,
     ROBUST_BY_BASE,
-    SMALL_MIXTURE,
     TrialSetup,
 )
 from qdgrasp_worker.evaluator import make_episode, make_world
@@ -104,16 +101,6 @@ class TestRobustOnPhysical:
         assert (back[blocked] > 1e-3).all()
         assert np.abs(back[~blocked]).max() < 1e-3
 
-    def test_small_disturbances_differ_and_keep_their_scale(self):
-        mixture = SMALL_MIXTURE
-        setups = [mixture.trial(ABOVE, number) for number in range(1, 101)]
-        grips = [setup.grip for setup in setups]
-        assert all(mixture.grip[0] <= grip <= mixture.grip[1] for grip in grips)
-        assert len(set(grips)) > 90
-        away = [np.linalg.norm(np.array(setup.pose.position) - ABOVE.position) for setup in setups]
-        assert 0.002 < np.median(away) < 0.015
-        assert all(setup.frictions is None for setup in setups)
-
 
 class TestApproach:
     """The Panda comes down on the cube, whose sides are 57 mm and whose top is 28.5 mm high."""
@@ -156,16 +143,3 @@ class TestApproach:
     def test_a_hand_that_would_come_through_the_object_overlaps(self, scene, depth):
         beyond = replace(ABOVE, position=[0.0, 0.0, depth])
         assert self.run(scene, beyond).outcome == Outcome.OVERLAP
-
-    def test_only_disturbed_trials_of_physical_approach(self):
-        robust = ROBUST_BY_BASE["physical"]
-        assert robust.trial(ABOVE, 0) == TrialSetup(ABOVE)
-        assert robust.trial(ABOVE, 1).approaches
-        assert not PROTOCOLS["robust"].trial(ABOVE, 1).approaches
-
-
-@pytest.mark.parametrize("protocol", ["paper", "physical", "released"])
-def test_a_base_without_trials_is_refused_in_one_sentence(protocol):
-    values = {"gripper": "panda", "object": "mug", "protocol": protocol, "base": "physical"}
-    with pytest.raises(InputError, match=f"'{protocol}' has no trials; leave base out"):
-        run_spec(values)

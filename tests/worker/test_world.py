@@ -25,13 +25,6 @@ TABLE = {
 """The Panda's motion in the public code's shakes, every 17 steps [m, rad]."""
 
 
-@pytest.fixture
-def world(cube):
-    world = BulletShakenWorld(cube)
-    yield world
-    world.close()
-
-
 def close_hand(world, synergy=NO_SYNERGY):
     world.close_fingers(synergy)
     for _ in range(CLOSING_STEPS):
@@ -63,22 +56,6 @@ def test_in_paper_every_empty_hand_shakes_as_the_panda_is_tabled(gripper, make_s
         peak = max(TABLE[shake.joint])
         np.testing.assert_allclose(shaken(world, shake), TABLE[shake.joint], atol=0.1 * peak)
     world.close()
-
-
-def test_a_reset_world_has_forgotten_contacts_motors_and_motion(world):
-    touching = HandPose([0.0, 0.0, 0.13], [1.0, 0.0, 0.0, 0.0], [0.04, 0.04], NO_SYNERGY)
-
-    def trace():
-        world.reset(TrialSetup(touching), touching.joints)
-        close_hand(world)
-        return world.contacts(), world.finger_positions(), world.object_pose(), world._target.velocity
-
-    first = trace()
-    assert first[0], "the pose was to touch the object"
-    for shake in SHAKES:
-        shaken(world, shake)
-    world.reset(FAR, world.opened)
-    assert trace() == first
 
 
 def test_loading_leaves_no_files_and_no_words_on_the_console(cube, tmp_path, monkeypatch, capfd):

@@ -15,8 +15,6 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.engines.lockstep import LockstepEvaluator
 from qdgrasp_worker.evaluator import Evaluator, make_evaluator
 
-JOINTS, WORLDS, LOOKS = 3, 4, 5
-
 
 def physical(hand: str = "panda", target: str = "rubiks_cube", protocol: str = "physical") -> Scene:
     base = "physical" if protocol == "robust" else "paper"

@@ -39,18 +39,3 @@ def test_what_holds_in_the_first_engine_has_the_verdict_of_the_second(order, fri
     assert outcomes(rows[is_tried]) == expected
     assert outcomes(rows[~is_tried]) == outcomes(first[~is_tried])
     assert (Outcome.DROPPED in expected) == (friction == SLIPPERY)
-
-
-def test_a_trial_is_passed_where_both_engines_hold():
-    more = {"protocol": "robust", "base": "physical"}
-    asked = scene("mujoco,bullet", **more)
-    genomes = encoded(asked, facing(asked, POSES, candidates=16))
-    nominal = evaluated(scene("mujoco"), "valued", genomes)
-    poses = nominal["base_to_object"][nominal["outcome"] == Outcome.HELD]
-    trials = np.resize([1, 2, 3], len(poses))
-    both = evaluated(asked, GIVEN, poses, trials)
-    each = [evaluated(scene(name, **more), GIVEN, poses, trials) for name in ("mujoco", "bullet")]
-    held = [rows["outcome"] == Outcome.HELD for rows in each]
-    np.testing.assert_array_equal(both["outcome"] == Outcome.HELD, held[0] & held[1])
-    np.testing.assert_array_equal(both["fitness"], np.where(held[0], each[1]["fitness"], each[0]["fitness"]))
-    assert held[0].sum() > held[1].sum()

@@ -1,43 +1,20 @@
 """Laws of mechanics that verdicts obey in any simulator."""
 
-from collections.abc import Iterator
-from itertools import repeat
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from scipy.spatial.transform import Rotation
 from tests.common import with_gripper
 from tests.worker.genomes import decoded, draw
 
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines import bullet_world
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import PAPER, TrialSetup
-from qdgrasp_worker.world import AWAY_POSITION, STILL, UPRIGHT
 
 POSES = 120
 AGREEMENT = 0.95
-MESH = '<mesh filename="parts.obj"/>'
-
-
-class TurnedWorld(BulletShakenWorld):
-    """A world whose object lies turned about its centre of mass, differently in each episode."""
-
-    def __init__(self, scene: Scene, turns: Iterator[list[float]]) -> None:
-        self._turns: Iterator[list[float]] = repeat(UPRIGHT)
-        super().__init__(scene)
-        self._turns = turns
-
-    def reset(self, trial, posture):
-        super().reset(trial, posture)
-        self._hand.place(AWAY_POSITION, UPRIGHT)
-        self._target.place(STILL, next(self._turns))
-        self._bullet.performCollisionDetection()
-        self.place_hand(trial.pose)
 
 
 def poses_of(scene, genomes) -> list[HandPose]:
@@ -104,32 +81,3 @@ def test_the_mirrored_hand_has_the_mirrored_verdict_on_the_mirrored_box(cube):
     poses, verdicts = touching(cube, poses_of(cube, draw(2000, near=400)))
     found = outcomes(BulletShakenWorld(mirrored(cube)), [mirrored_pose(pose) for pose in poses])
     assert agreement(found, verdicts) >= AGREEMENT
-
-
-@pytest.fixture(scope="module")
-def ball(make_scene):
-    """A scene whose object is a primitive sphere, in place of the tennis ball's hull."""
-    scene = make_scene("panda", "tennis_ball", "paper")
-    radius = np.linalg.norm(scene.object.triangles, axis=-1).max()
-    sphere = f'<sphere radius="{radius}"/>'
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(bullet_world, "OBJECT_URDF", bullet_world.OBJECT_URDF.replace(MESH, sphere))
-        yield scene
-
-
-@pytest.fixture(scope="module")
-def on_ball(ball):
-    """Poses on the sphere, with their outcomes."""
-    return touching(ball, poses_of(ball, draw(1100, seed=7)))
-
-
-@pytest.fixture(scope="module")
-def turns():
-    return Rotation.random(POSES, random_state=3)
-
-
-@pytest.mark.slow
-def test_a_grasp_on_a_sphere_keeps_its_verdict_when_the_sphere_turns(ball, on_ball, turns):
-    poses, verdicts = on_ball
-    world = TurnedWorld(ball, iter(turns.as_quat().tolist()))
-    assert agreement(outcomes(world, poses), verdicts) >= AGREEMENT

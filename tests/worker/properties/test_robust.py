@@ -1,17 +1,10 @@
 """The protocol robust: trial 0 is the paper's evaluation, each trial a function of its own."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from tests.worker.genomes import draw, evaluated, results
 
 from qdgrasp_protocol.rows import TRIALS, Outcome
-from qdgrasp_worker.evaluation_protocols import MIXTURE, PROTOCOLS, ROBUST
-
-FEW = {Outcome.DROPPED: 1, Outcome.SHAKEN: 1, Outcome.HELD: 1}
-MANY = {Outcome.DROPPED: 18, Outcome.SHAKEN: 14, Outcome.HELD: 10}
-"""Number of successes of each outcome that are tried a hundred times."""
 
 
 @pytest.fixture(scope="module")
@@ -41,29 +34,6 @@ def test_trial_zero_is_the_evaluation_of_paper_to_the_byte(make_scene, nominal):
     some = nominal[::3]
     paper = make_scene("panda", "tennis_ball", "paper")
     assert results(evaluated(paper, "approach", some["genome"])) == results(some)
-
-
-@pytest.mark.parametrize(
-    "successes",
-    [pytest.param(number, marks=(pytest.mark.slow, pytest.mark.timeout(900))) for number in (FEW, MANY)],
-    ids=["few", "many"],
-)
-def test_without_noise_a_hundred_trials_add_up_to_a_hundred_times_the_nominal_fitness(
-    scene, nominal, successes, monkeypatch
-):
-    own = scene.object.rolling_friction, scene.object.spinning_friction
-    still = replace(
-        MIXTURE, position_sigma=0.0, angle_sigma=0.0, rolling=(own[0], own[0]), spinning=(own[1], own[1])
-    )
-    monkeypatch.setitem(PROTOCOLS, "robust", replace(ROBUST, mixture=still))
-    places = [np.flatnonzero(nominal["outcome"] == outcome)[:n] for outcome, n in successes.items()]
-    chosen = nominal[np.concatenate(places)]
-    assert [len(found) for found in places] == list(successes.values())
-    genomes, trials = np.repeat(chosen["genome"], TRIALS, axis=0), np.tile(range(1, 101), len(chosen))
-    again = evaluated(scene, "approach", genomes, trials)
-    sums = again["fitness"].reshape(len(chosen), TRIALS).sum(axis=1)
-    np.testing.assert_array_equal(sums, TRIALS * chosen["fitness"])
-    assert results(again) == results(np.repeat(chosen, TRIALS))
 
 
 @pytest.mark.parametrize(

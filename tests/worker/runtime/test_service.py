@@ -11,7 +11,7 @@ from structlog.testing import capture_logs
 from tests.fakes.coordinator import LeasingCoordinator
 from tests.fakes.worker import GRACE, RunningWorker
 from tests.worker.runtime import scripted_simulator
-from tests.worker.runtime.scripted_simulator import ABORT, DAWDLE, HANG, WAIT, work
+from tests.worker.runtime.scripted_simulator import DAWDLE, HANG, WAIT, work
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.keys import Keys
@@ -165,13 +165,6 @@ def test_what_a_killed_simulator_had_is_handed_back_and_nothing_is_held_against_
     assert len(worker.simulators) == 2
 
 
-def test_a_row_that_ends_simulators_is_reported_and_nothing_is_joined_anew_for_it(office, worker):
-    office.give(work(1, n=4, row_2=ABORT), work(2))
-    office.wait(lambda: len(office.results) == 2, "two results")
-    assert [failure.row for failure in office.results[0].failures] == [2]
-    assert all(work(1).batch in join.held for join in office.joins[1:3])
-
-
 def test_a_message_that_is_not_what_its_key_says_is_dropped_and_told_of(office, worker):
     office.wait(lambda: office.joins, "a join")
     wid, control = office.joins[-1].wid, Control(epoch=1, drop=[], drain=True)
@@ -215,6 +208,3 @@ def test_a_scene_that_ends_every_simulator_is_tried_three_times_and_not_again(hi
     assert all(len(result.failures) == 2 for result in office.results)
     assert office.results[-1].failures[0].reason == "its scene ends every simulator"
     assert len(worker.simulators) <= 4
-
-
-# The decision when to end.

@@ -4,13 +4,9 @@ from multiprocessing import Pipe
 from unittest.mock import Mock
 
 import pytest
-from tests.coordinator.scheduler.search_plans import Plan, reference
-from tests.fakes.job import Job
-from tests.fakes.worker import RunningWorker
-from tests.worker.runtime.crashing_simulator import COMMAND
 
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Outcome, RowShape, pack
+from qdgrasp_protocol.rows import RowShape, pack
 from qdgrasp_worker.evaluator import Evaluation
 from qdgrasp_worker.runtime.simulator_main import WORK_COLUMNS, SimulatorMain
 from qdgrasp_worker.runtime.simulator_messages import (
@@ -19,22 +15,6 @@ from qdgrasp_worker.runtime.simulator_messages import (
     MessageConnection,
     PartialResult,
 )
-
-PLAN = Plan(seed=9, population=8, evaluations=32)
-
-
-def test_poison_is_settled_as_an_error_and_the_journal_is_the_one_without_a_bus():
-    job = Job({"run": PLAN})
-    workers = [RunningWorker(job.network.session(), command=COMMAND) for _ in range(2)]
-    job.service.run()
-    for worker in workers:
-        worker.leave()
-        worker.ends()
-    rows = job.records["run"].rows
-    assert rows.tobytes() == reference(PLAN)
-    errors = int((rows["outcome"] == Outcome.ERROR).sum())
-    assert errors == 3
-    assert sum(len(worker.simulators) for worker in workers) >= 3 * errors
 
 
 class Scarce:
