@@ -59,15 +59,25 @@ class ReleasedArchive:
         keys: NDArray[np.int64] = place @ np.array([1, self.bins, self.bins**2])
         return keys
 
-    def elites(self, positions: NDArray[np.floating], fitness: NDArray[np.number]) -> NDArray[np.intp]:
-        """Return places (m,) of the elites: in each cell the first success of the greatest fitness.
+    def gains(
+        self, positions: NDArray[np.floating], fitness: NDArray[np.number], counts: NDArray[np.bool_]
+    ) -> NDArray[np.int64]:
+        """Return what each success (n,) adds to the number of elites that count: -1, 0 or 1, (n,).
 
-        `positions` (n, 3) [m], CoM frame, and their `fitness` (n,) are in journal order.
+        An elite is the first success of the greatest fitness in its cell; one that counts (n,) may be
+        displaced by one that does not. `positions` (n, 3) [m], CoM frame, are in journal order.
         """
-        keys = self.keys(positions)
-        order = np.lexsort((np.arange(len(keys)), -fitness.astype(np.float64), keys))
-        _, first = np.unique(keys[order], return_index=True)
-        return order[first]
+        cell = self.keys(positions)
+        order = np.argsort(cell, kind="stable")
+        place = np.unique(cell[order], return_inverse=True)[1]
+        above = np.float64(1.0 + np.max(fitness, initial=0))
+        best = np.maximum.accumulate(place * above + fitness[order])  # within a cell: earlier ones are less
+        elite = order[np.diff(best, prepend=-1.0) > 0]
+        is_same_cell = cell[elite][1:] == cell[elite][:-1]
+        gains, worth = np.zeros(len(cell), dtype=np.int64), counts.astype(np.int64)
+        gains[elite] = worth[elite]
+        gains[elite[1:]] -= np.where(is_same_cell, worth[elite][:-1], 0)
+        return gains
 
 
 def released_archive(scene: Scene) -> ReleasedArchive | None:
@@ -267,9 +277,9 @@ def coverage(
     robust_found = _common_cells(np.unique(reached[fitness == ROBUST], axis=0), robust)
     elites = robust_elites = None
     if archive is not None:
-        kept = archive.elites(positions, fitness)
-        elites = _common_cells(reached[kept], reference)
-        robust_elites = _common_cells(reached[kept[fitness[kept] == ROBUST]], reference)
+        shared = np.isin(cell_keys(reached), cell_keys(reference.cells))
+        elites = int(archive.gains(positions, fitness, shared).sum())
+        robust_elites = int(archive.gains(positions, fitness, shared & (fitness == ROBUST)).sum())
     result = Coverage(
         coverage=_ratio(found, len(reference)),
         robust=_ratio(robust_found, len(robust)),

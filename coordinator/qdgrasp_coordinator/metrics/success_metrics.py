@@ -94,27 +94,7 @@ def released_growth(found: Successes, reference: ReferenceSet, archive: Released
     """Elites of the released code's archive in a set: each counts, and may be displaced."""
     positions = found.rows["base_to_object"][:, :3]
     shared = np.isin(cell_keys(cells(positions)), cell_keys(reference.cells))
-    gains = _gains(archive.keys(positions), found.rows["fitness"], shared.astype(np.int64))
-    return step_series(found.evaluations, gains)
-
-
-def _gains(
-    cell: NDArray[np.int64], fitness: NDArray[np.number], worth: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Return what each success (n,) adds to the worth of all elites: (n,).
-
-    Its own worth, less that of the elite that it displaces; 0 if it does not become an elite.
-    """
-    order = np.argsort(cell, kind="stable")
-    place = np.unique(cell[order], return_inverse=True)[1]
-    above = np.float64(1.0 + np.max(fitness, initial=0))
-    best = np.maximum.accumulate(place * above + fitness[order])  # within a cell: earlier cells are smaller
-    elite = order[np.diff(best, prepend=-1.0) > 0]
-    before = np.append(0, worth[elite][:-1])
-    foreign = np.append(True, cell[elite][1:] != cell[elite][:-1])[: len(elite)]
-    gains = np.zeros(len(cell), dtype=np.int64)
-    gains[elite] = worth[elite] - np.where(foreign, 0, before[: len(elite)])
-    return gains
+    return step_series(found.evaluations, archive.gains(positions, found.rows["fitness"], shared))
 
 
 NU_BINS = 24  # Bins of nu from 0 to pi, 7.5 degrees each: six of them reach to pi / 4

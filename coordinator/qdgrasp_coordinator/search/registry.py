@@ -7,7 +7,7 @@ its space; the paper's methods ignore the meaning of genes.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
 from qdgrasp_assets import genes
 from qdgrasp_coordinator.search import fixed_poses
@@ -55,19 +55,13 @@ class Method:
     """Objective unless the spec says otherwise; None: the method has none."""
 
 
-class PriorLabel(NamedTuple):
-    """Prefix and description of a prior in the table of methods."""
-
-    prefix: str
-    words: str
-
-
+# Prefix and description of each prior in the table of methods.
 PRIORS = {
-    "contact": PriorLabel("contact_", "any angle to the surface"),
-    "approach": PriorLabel("approach_", "at most 45 deg from the surface's normal"),
-    "antipodal": PriorLabel("antipodal_", "two fingers on opposite points"),
-    "spherical": PriorLabel("", "without a prior"),
-    genes.VALUED: PriorLabel("", "into a cell"),
+    "contact": ("contact_", "any angle to the surface"),
+    "approach": ("approach_", "at most 45 deg from the surface's normal"),
+    "antipodal": ("antipodal_", "two fingers on opposite points"),
+    "spherical": ("", "without a prior"),
+    genes.VALUED: ("", "into a cell"),
 }
 
 
@@ -80,10 +74,10 @@ def _family(
     priors: tuple[str, ...] = ("contact", "approach", "antipodal", "spherical"),
 ) -> list[Method]:
     """Return the methods of one search, one for each prior; 500 is the paper's mu = lambda."""
-    known = [(prior, PRIORS[prior].prefix + name, PRIORS[prior].words) for prior in priors]
+    known = [(prior, *PRIORS[prior]) for prior in priors]
     return [
-        Method(full, prior, build, check, "count", population, f"{words}, {by} (Huber et al. 2024).")
-        for prior, full, by in known
+        Method(prefix + name, prior, build, check, "count", population, f"{words}, {by} (Huber et al. 2024).")
+        for prior, prefix, by in known
     ]
 
 
@@ -96,11 +90,6 @@ def search_words(spec: RunSpec) -> str:
     """Return the words for a spec's method and its objective."""
     keys = ("method", "aim_for", "diversity")
     return " with ".join(f"{key} '{value}'" for key in keys if (value := getattr(spec, key)))
-
-
-def _aimed_search(spec: RunSpec) -> BuildSearch:
-    """Return the search that a spec of method `aimed` asks for."""
-    return ValueSearch if by_position(spec) else NicheSearch
 
 
 def by_position(spec: RunSpec) -> bool:
@@ -116,12 +105,6 @@ def check_objective(spec: RunSpec) -> None:
         )
     if spec.aim_for == "eta" and not trial_count(spec.protocol):
         raise ImpossibleValue("protocol", spec.protocol, "'robust' for aim_for = 'eta', which trials measure")
-
-
-def _check_no_kinds(spec: RunSpec, reason: str) -> None:
-    for name in ("diversity", "grasps_per_cell"):
-        if (value := getattr(spec, name)) is not None:
-            raise ImpossibleValue(name, value, f"left out for {reason}")
 
 
 PAPER = [
@@ -153,7 +136,7 @@ PAPER = [
 AIMED = Method(
     "aimed",
     genes.VALUED,
-    lambda spec, space: _aimed_search(spec)(spec, space),
+    lambda spec, space: (ValueSearch if by_position(spec) else NicheSearch)(spec, space),
     check_objective,
     "redraw",
     50,
@@ -212,8 +195,11 @@ def check_spec(spec: RunSpec) -> None:
     chosen = method(spec.method)
     if spec.aim_for is not None and chosen.aim_for is None:
         raise ImpossibleValue("aim_for", spec.aim_for, f"left out for method '{spec.method}', which has none")
-    if chosen.aim_for is None:
-        _check_no_kinds(spec, f"method '{spec.method}', which does not look for kinds")
+    for name in ("diversity", "grasps_per_cell") if chosen.aim_for is None else ():
+        if (value := getattr(spec, name)) is not None:
+            raise ImpossibleValue(
+                name, value, f"left out for method '{spec.method}', which looks for no kinds"
+            )
     if spec.poses is not None and chosen is not SCORING:
         raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")
     if spec.first_weights is not None and not learns_value(spec):

@@ -29,6 +29,7 @@ TABLE = np.dtype(
 """Row of a table: its number in the journal, its verdict as recorded, and that in the other engine."""
 
 COLUMNS = TABLE.names or ()
+OUTCOMES = ("outcome", "outcome_now")  # Columns that are words in a file
 
 EngineTable = NDArray[np.void]  # (n,) of `TABLE`, by row
 Verdicts = NDArray[np.void]  # (n,) of `VERDICT`
@@ -77,7 +78,9 @@ def write_table(
         before = read_table(path)
         made = np.concatenate([before[~np.isin(before["row"], numbers)], made])
         made = made[np.argsort(made["row"])]
-    lines = [dict(zip(COLUMNS, map(_word, COLUMNS, line), strict=True)) for line in made.tolist()]
+    lines: list[dict[str, Value]] = [dict(zip(COLUMNS, map(int, row), strict=True)) for row in made.tolist()]
+    for line, row in zip(lines, made, strict=True):
+        line.update({name: Outcome(row[name]).name.lower() for name in OUTCOMES})
     text = csv_text(lines, COLUMNS)
     OutFile(path, force=True).write(text.encode())
     return path
@@ -99,20 +102,13 @@ def read_table(path: Path) -> EngineTable:
 
 @lru_cache(16)
 def _read(path: Path, _mtime: int, _size: int) -> EngineTable:
-    lines = [tuple(_number(name, line[name]) for name in COLUMNS) for line in read_csv(path, COLUMNS)]
-    table = np.array(lines, TABLE)
+    lines = [
+        line | {name: Outcome[line[name].upper()] for name in OUTCOMES} for line in read_csv(path, COLUMNS)
+    ]
+    table = np.array([tuple(int(line[name]) for name in COLUMNS) for line in lines], TABLE)
     table = table[np.argsort(table["row"])]
     table.flags.writeable = False
     return table
-
-
-def _word(name: str, value: float) -> Value:
-    """A number of a table as it stands in the file: outcomes are words there."""
-    return Outcome(int(value)).name.lower() if name.startswith("outcome") else int(value)
-
-
-def _number(name: str, word: str) -> int:
-    return Outcome[word.upper()] if name.startswith("outcome") else int(word)
 
 
 def other_tables(folder: RunFolder) -> dict[str, EngineTable]:

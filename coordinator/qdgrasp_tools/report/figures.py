@@ -76,7 +76,7 @@ def default_prior(method: str) -> str:
 
 def family_of(method: str) -> str:
     """Return the family of a method: its name without the prior's prefix; `own` for a program's."""
-    family = method.removeprefix(registry.PRIORS[default_prior(method)].prefix)
+    family = method.removeprefix(registry.PRIORS[default_prior(method)][0])
     return family if family in FAMILIES else "own"
 
 
