@@ -16,18 +16,28 @@ grasps and hands as pictures with their key figures.
 
 TYPE_CHECKING = False  # that of `typing`, which takes longer to load than all that is here
 if TYPE_CHECKING:
-    from qdgrasp.backend import Place
-    from qdgrasp.evaluations import Evaluations, evaluate
-    from qdgrasp.evaluator_worker import serve
-    from qdgrasp.hand import Hand
-    from qdgrasp.optimisation import Search, optimise
-    from qdgrasp.runs import CampaignRuns, Run, open  # noqa: A004  # said as qdgrasp.open
-    from qdgrasp_assets.scene import Scene
-    from qdgrasp_protocol.errors import InputError, QdgraspError
-    from qdgrasp_protocol.rows import Genomes, Layout, Outcome, Rows
-    from qdgrasp_protocol.spec import RunSpec
-    from qdgrasp_tools.export.grasp_set import Grasp, Grasps
-    from qdgrasp_worker.runtime.evaluator_api import Hands, Verdicts
+    from qdgrasp.backend import Place as Place
+    from qdgrasp.evaluations import Evaluations as Evaluations
+    from qdgrasp.evaluations import evaluate as evaluate
+    from qdgrasp.evaluator_worker import serve as serve
+    from qdgrasp.hand import Hand as Hand
+    from qdgrasp.optimisation import Search as Search
+    from qdgrasp.optimisation import optimise as optimise
+    from qdgrasp.runs import CampaignRuns as CampaignRuns
+    from qdgrasp.runs import Run as Run
+    from qdgrasp.runs import open as open  # noqa: A004  # said as qdgrasp.open
+    from qdgrasp_assets.scene import Scene as Scene
+    from qdgrasp_protocol.errors import InputError as InputError
+    from qdgrasp_protocol.errors import QdgraspError as QdgraspError
+    from qdgrasp_protocol.rows import Genomes as Genomes
+    from qdgrasp_protocol.rows import Layout as Layout
+    from qdgrasp_protocol.rows import Outcome as Outcome
+    from qdgrasp_protocol.rows import Rows as Rows
+    from qdgrasp_protocol.spec import RunSpec as RunSpec
+    from qdgrasp_tools.export.grasp_set import Grasp as Grasp
+    from qdgrasp_tools.export.grasp_set import Grasps as Grasps
+    from qdgrasp_worker.runtime.evaluator_api import Hands as Hands
+    from qdgrasp_worker.runtime.evaluator_api import Verdicts as Verdicts
 
 HOMES = {
     "CampaignRuns": "qdgrasp.runs",
@@ -55,32 +65,6 @@ HOMES = {
 }
 """The module of each name, loaded when the name is used first."""
 
-__all__ = [
-    "CampaignRuns",
-    "Evaluations",
-    "Genomes",
-    "Grasp",
-    "Grasps",
-    "Hand",
-    "Hands",
-    "InputError",
-    "Layout",
-    "Outcome",
-    "Place",
-    "QdgraspError",
-    "Rows",
-    "Run",
-    "RunSpec",
-    "Scene",
-    "Search",
-    "Verdicts",
-    "__version__",
-    "evaluate",
-    "open",
-    "optimise",
-    "serve",
-]
-
 __version__: str
 
 
@@ -92,10 +76,10 @@ def __getattr__(name: str) -> object:
     elif name in HOMES:
         value = getattr(import_module(HOMES[name]), name)
     else:
-        raise AttributeError(f"module 'qdgrasp' has no attribute '{name}'; it has {', '.join(__all__)}")
+        raise AttributeError(f"module 'qdgrasp' has no attribute '{name}'; it has {', '.join(__dir__())}")
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return [*HOMES, "__version__"]

@@ -100,12 +100,6 @@ class Place:
 HERE = Place()  # All cores of this machine
 
 
-def check_place(place: object) -> None:
-    """Raise ImpossibleValue unless it is a `Place`."""
-    if not isinstance(place, Place):
-        raise ImpossibleValue("place", place, "a qdgrasp.Place, such as qdgrasp.Place(workers=2)")
-
-
 @contextmanager
 def open_place(
     place: Place, logs: Path, shown: ProgressDisplay, job: str | None = None, meeting: Meeting | None = None

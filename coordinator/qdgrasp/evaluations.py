@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp.arguments import SceneArguments, check_genomes, layout_of, spec_from_arguments
-from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
+from qdgrasp.backend import HERE, Place, SilentProgress, open_place
 from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_plan import (
@@ -110,7 +110,6 @@ class Evaluations:
     def __init__(
         self, *, prior: str = "contact", place: Place = HERE, **scenery: Unpack[SceneArguments]
     ) -> None:
-        check_place(place)
         self.spec = spec_from_arguments(scenery)
         place.check_engine(self.spec)
         self._prepared = prepare_scene(self.spec)

@@ -15,7 +15,7 @@ from qdgrasp.arguments import (
     layout_of,
     spec_from_arguments,
 )
-from qdgrasp.backend import HERE, Place, SilentProgress, check_place, open_place
+from qdgrasp.backend import HERE, Place, SilentProgress, open_place
 from qdgrasp.runs import Run
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue, plan_run, prepare_scene
@@ -139,7 +139,6 @@ def optimise(
     >>> run = qdgrasp.optimise(Uniform, "runs/mine", evaluations=1000, gripper="panda", object="mug")
     """
     path = Path(out)
-    check_place(place)
     place.check_hands()
     if prior not in list(CUSTOM):
         raise UnknownName("prior", str(prior), CUSTOM)

@@ -69,8 +69,7 @@ VersionOption = Annotated[
 ]
 """The --version option of every program, handled before its function."""
 
-BOUND_PREFIX = "Input should be "  # Beginning of the words on a number out of bounds, or on no number
-CHOICE_PREFIX = "Value error, "  # The same of a choice that is not one
+VALIDATION_WORDS = {"Input should be ": "it must be ", "Value error, ": ""}  # Of a validation, and ours
 
 
 def usage_error(error: TyperException, name: str) -> str:
@@ -81,13 +80,8 @@ def usage_error(error: TyperException, name: str) -> str:
     context = getattr(error, "ctx", None)
     command = name if context is None else context.command_path
     words = error.format_message()
-    faults = getattr(error.__cause__, "errors", None)  # those of a validation error, without its library
-    for fault in faults() if callable(faults) else ():
-        said = fault["msg"]
-        better = said.removeprefix(CHOICE_PREFIX)
-        if said.startswith(BOUND_PREFIX):
-            better = f"it must be {said.removeprefix(BOUND_PREFIX)}, got '{fault['input']}'"
-        words = words.replace(said, better)
+    for theirs, ours in VALIDATION_WORDS.items():
+        words = words.replace(theirs, ours)
     return f"{words.rstrip('.')}. See `{command} --help`."
 
 

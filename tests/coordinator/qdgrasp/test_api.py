@@ -49,7 +49,7 @@ def test_what_a_type_checker_sees_is_what_there_is() -> None:
         for alias in node.names
     }
     assert seen == qdgrasp.HOMES
-    assert set(qdgrasp.__all__) == {*seen, "__version__"}
+    assert set(dir(qdgrasp)) == {*seen, "__version__"}
 
 
 def test_an_evaluator_in_a_package_goes_by_the_name_of_its_module() -> None:
@@ -65,7 +65,7 @@ def test_an_evaluator_that_no_other_process_finds_is_refused(evaluator: object) 
 @pytest.mark.parametrize(
     ("said", "why"),
     [
-        ({"workers": 0}, "'--workers': it must be greater than or equal to 1, got '0'"),
+        ({"workers": 0}, "'--workers': it must be greater than or equal to 1"),
         ({"connect": "here"}, "'here' is not an endpoint"),
         ({"wait": "long"}, "'--wait'"),
     ],
