@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from tests.chaos.plan import bad_workers, faults, run_kind
-from tests.chaos.play import agreeing_rows, disturb, undisturbed_digest
+from tests.chaos.play import disturb, undisturbed_digest
 
 LONG, SHORT = 20_000, 5_000
 SEEDS = range(10)
@@ -31,10 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--together", type=int, default=3, help="seeds at a time (default: 3)")
     parser.add_argument("--minutes", type=float, default=30.0, help="that one run may take (default: 30)")
     parser.add_argument("--out", type=Path, default=Path("runs/chaos"), help="folder (default: runs/chaos)")
-    parser.add_argument("--plan", type=int, metavar="N", help="only show the first N faults of the seed")
     asked = parser.parse_args(arguments)
-    if asked.plan is not None:
-        return show_plan(asked.seed or 0, asked.workers, asked.plan)
     if asked.seed is not None:
         return int(not carry_out(asked.seed, asked))
     began = time.monotonic()
@@ -56,15 +53,6 @@ def carry_out_all(arguments: list[str], together: int) -> list[int]:
         return sorted(seed for seed, well in fared if not well)
 
 
-def show_plan(seed: int, workers: int, number: int) -> int:
-    """Print the first faults of a seed."""
-    at = 0.0
-    for _, fault in zip(range(number), faults(seed, workers), strict=False):
-        at += fault.after
-        say(f"{at:7.1f} s  {fault}")
-    return 0
-
-
 def carry_out(seed: int, asked: argparse.Namespace) -> bool:
     """Carry the run of a seed out, undisturbed and disturbed; whether both gave the same."""
     evaluations = asked.evaluations or (LONG if seed == SEEDS[0] else SHORT)
@@ -73,8 +61,7 @@ def carry_out(seed: int, asked: argparse.Namespace) -> bool:
     out = asked.out.resolve()
     say(f"seed {seed}: {evaluations} evaluations, {kind.method}, protocol {kind.protocol}")
     home = out / f"seed-{seed}"
-    undisturbed = out / f"undisturbed-{seed}"
-    expected = undisturbed_digest(spec, undisturbed)
+    expected = undisturbed_digest(spec, out / f"undisturbed-{seed}")
     say(f"seed {seed}: undisturbed digest {expected}")
     shutil.rmtree(home, ignore_errors=True)
     plan = faults(seed, asked.workers)
@@ -84,32 +71,16 @@ def carry_out(seed: int, asked: argparse.Namespace) -> bool:
         "limit": 60 * asked.minutes,
         "bad": bad_workers(seed, asked.bad),
     }
-    report = disturb(home, spec, plan, **terms, say=Log(seed, home))
+    report = disturb(home, spec, plan, **terms, say=lambda line: say(f"{seed}: {line}"))
     is_same = report.digest == expected
     verdict = "the same" if is_same else "that of a part" if report.is_given_up else "ANOTHER ONE"
     say(f"seed {seed}: {report.words}; ended by themselves: {dict(report.ended) or 'none'}")
     say(f"seed {seed}: disturbed digest {report.digest or 'none'}: {verdict}")
     if is_same and not report.troubles:
         return True
-    if report.digest:
-        rows, alike = agreeing_rows(home / "run", undisturbed / "run")
-        say(f"{rows} rows are recorded; the undisturbed run begins with {alike} of them")
     say(f"seed {seed} FAILED: {'; '.join(report.troubles) or 'the digests differ'}; everything is in {home}")
     say(f"again: python -m tests.chaos --seed {seed} --evaluations {evaluations} --workers {asked.workers}")
     return False
-
-
-class Log:
-    """Prints events, and keeps them in a file."""
-
-    def __init__(self, seed: int, home: Path) -> None:
-        self._seed, self._file = seed, home / "chaos.log"
-
-    def __call__(self, line: str) -> None:
-        self._file.parent.mkdir(parents=True, exist_ok=True)
-        with self._file.open("a", encoding="utf-8") as file:
-            file.write(f"{line}\n")
-        say(f"{self._seed}: {line}")
 
 
 def say(line: str) -> None:

@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from itertools import takewhile
 from pathlib import Path
 
 from tests.chaos.plan import Fault, FaultKind
@@ -18,7 +17,6 @@ from tests.common import HOST
 from tests.fakes.slow_link import SlowLink, slow_link
 from tests.system.commands import digest_of
 
-from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
 
@@ -32,15 +30,6 @@ def undisturbed_digest(spec: RunSpec, home: Path) -> str:
     process.start()
     assert process.wait() == 0, process.words
     return digest_of(run)
-
-
-def agreeing_rows(run: Path, undisturbed: Path) -> tuple[int, int]:
-    """How many rows of a run are recorded, and how many of them the undisturbed run begins with."""
-    with RunFolder.open(run).journal() as some, RunFolder.open(undisturbed).journal() as all_:
-        pairs = zip(some.rows(0, some.count), all_.rows(0, some.count), strict=False)
-        return some.count, sum(
-            1 for _ in takewhile(lambda pair: pair[0].tobytes() == pair[1].tobytes(), pairs)
-        )
 
 
 ROUND_TRIP, LOSS = 0.3, 0.02  # Round trip [s] and loss of the far worker's link

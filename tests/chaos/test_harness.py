@@ -16,7 +16,7 @@ from tests.chaos.plan import (
     first_round,
 )
 from tests.chaos.play import disturb, undisturbed_digest
-from tests.chaos.processes import ROOT, Process
+from tests.chaos.processes import ROOT
 from tests.common import wait_for
 from tests.system.commands import is_alive, kill
 
@@ -49,15 +49,6 @@ def test_a_process_ends_with_its_starter_however_that_ends(tmp_path: Path, is_st
         assert is_alive(pid)
         kill(starter.pid)
     wait_for(lambda: not is_alive(pid), "the end of the orphan")
-
-
-def test_a_killed_process_is_gone_and_a_stopped_one_is_known_to_be(tmp_path: Path) -> None:
-    process = Process("server", *SERVER, tmp_path / "log")
-    process.start()
-    process.send(signal.SIGSTOP)
-    assert (process.is_there, process.is_stopped) == (True, True)
-    process.send(signal.SIGKILL)
-    assert (process.is_there, process.exit_code) == (False, -signal.SIGKILL)
 
 
 SEED = 4

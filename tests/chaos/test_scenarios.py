@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 from tests.chaos.plan import RunKind
-from tests.chaos.play import LOSS, ROUND_TRIP, cutting, undisturbed_digest
+from tests.chaos.play import undisturbed_digest
 from tests.chaos.processes import JobProcesses
-from tests.chaos.simulator import BAD, FAILURES, FAILURES_VARIABLE
-from tests.common import HOST, wait_for
-from tests.fakes.slow_link import slow_link
+from tests.chaos.simulator import FAILURES, FAILURES_VARIABLE
+from tests.common import wait_for
 from tests.system.commands import digest_of
 
 from qdgrasp_coordinator.storage.outputs import JOURNAL
@@ -128,24 +127,3 @@ def test_simulators_that_abort_hang_or_take_all_memory_cost_nothing_but_time(tmp
         job.start()
         assert ends_well(job) == expected
     assert {failure.name for failure in failures.iterdir()} == set(FAILURES)
-
-
-@pytest.mark.timeout(600)
-def test_bad_workers_of_every_kind_and_a_bad_link_change_nothing(job, expected) -> None:
-    port = int(job.endpoint.rpartition(":")[2])
-    with slow_link(port, ROUND_TRIP, LOSS) as link, cutting(link):
-        late = [job.add_worker(f"{kind}-0", job.endpoint, CHAOS_BAD=kind) for kind in BAD]
-        late.append(job.add_worker("far-0", f"tcp/{HOST}:{link.port}"))
-        good = [job["worker-0"], job["worker-1"]]
-        for member in good:
-            member.send(signal.SIGSTOP)  # so that the run does not end before the others are there
-        for member in late:
-            member.start()
-        coordinator, joined = job["coordinator"], len(good) + len(late)
-        wait_for(lambda: coordinator.words.count("worker joined") >= joined, "all to join", 60.0)
-        for member in good:
-            member.send(signal.SIGCONT)
-        wait_for(lambda: coordinator.exit_code is not None, "the end", 300.0)
-    assert coordinator.exit_code == 0, coordinator.words
-    job.end()
-    assert digest_of(job.run) == expected

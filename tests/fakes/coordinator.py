@@ -16,7 +16,7 @@ from qdgrasp_protocol.bus import Channel, Query, Sample, answer_chunk
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
-from qdgrasp_protocol.messages import Chunk, Control, Heartbeat, Join, Joined, Result, Work
+from qdgrasp_protocol.messages import Control, Heartbeat, Join, Joined, Result, Work
 
 
 class LeasingCoordinator:
@@ -39,8 +39,6 @@ class LeasingCoordinator:
         self.workers: set[str] = set()
         self.refusal = ""
         self.drains = False  # The worker was asked to leave, and is so whenever it joins
-        self.faults = 0  # So many joins end in an error of the coordinator's own
-        self.garbled = 0  # So many chunks of the scene are not what they should be
         self._keys = Keys(job)
         self._queue: deque[Work] = deque()
         self._leased: dict[bytes, Work] = {}
@@ -88,9 +86,6 @@ class LeasingCoordinator:
     def _on_join(self, query: Query) -> bytes:
         if self.refusal:
             raise Refused(self.refusal)
-        if self.faults:
-            self.faults -= 1
-            raise ZeroDivisionError
         with self._changed:
             join = messages.decode(query.payload, Join)
             self.joins.append(join)
@@ -107,9 +102,6 @@ class LeasingCoordinator:
         with self._changed:
             self.fetched += 1
             self._changed.notify_all()
-        if self.garbled:
-            self.garbled -= 1
-            return messages.encode(Chunk(total=1, data=b"something else"))
         return answer_chunk(query, self.scene, self.digest)
 
     def _take(self, sample: Sample) -> None:

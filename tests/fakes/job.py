@@ -5,7 +5,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from math import inf
-from typing import Protocol
 
 from tests.common import PATIENCE, wait_for
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan
@@ -18,7 +17,7 @@ from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
-from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RecorderClient, RowSink
+from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RowSink
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue
 from qdgrasp_coordinator.scheduler.run_registry import LoaderEvent, RunLoader, RunRegistry
 from qdgrasp_protocol import messages
@@ -96,12 +95,6 @@ class OtherPlatformSink(OpenedSink):
     answer = Opened(epoch=1, durable=[0], platform={"pybullet": "2.0"})
 
 
-class IdentifiedSink(OpenedSink):
-    """The record of a run of a job with an identity."""
-
-    answer = Opened(epoch=2, durable=[0], platform={}, identity="mine")
-
-
 class ReplacedSink(MemorySink):
     """The record of a run that another coordinator has opened."""
 
@@ -119,15 +112,8 @@ class SlowSink(MemorySink):
         return self.is_safe
 
 
-class Network(Protocol):
-    """A network of sessions."""
-
-    def session(self) -> Bus:
-        """Open a session."""
-
-
 class Job:
-    """A coordinator of many runs on a network, whose rows stay in memory or go to a recorder.
+    """A coordinator of many runs on a network, whose rows stay in memory.
 
     The network's first session is the coordinator's. `kinds` are the records of some runs, where they are
     not simply `MemorySink`.
@@ -137,15 +123,12 @@ class Job:
         self,
         plans: dict[str, Plan | None],
         *,
-        network: Network | None = None,
         seconds: float | None = None,
-        recorded: bool = False,
         **kinds: type[MemorySink],
     ) -> None:
         self._kinds = kinds
-        self._recorded = recorded
         self.programme = FakeRunQueue(plans)
-        self.network = network or MemoryNetwork()
+        self.network = MemoryNetwork()
         self.stop = Stop()
         self.records: dict[str, MemorySink] = {}
         self.open: list[int] = []
@@ -154,8 +137,6 @@ class Job:
         self.service = CoordinatorService(self.bus, self.stop, seconds=seconds, **how)
 
     def _record(self, plan: RunPlan) -> RowSink:
-        if self._recorded:
-            return RecorderClient(self.bus, JOB, SHAPE)
         kind = self._kinds.get(plan.run, MemorySink)
         return self.records.setdefault(plan.run, kind(SHAPE))
 

@@ -18,7 +18,7 @@ from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Control, Failure, Joined, Result, Work, deflated
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, pack, unpack
+from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
 from qdgrasp_worker.runtime.service import Inbox, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import SimulatorSettings
 from qdgrasp_worker.runtime.simulator_supervisor import SimulatorClient, SimulatorSupervisor
@@ -75,11 +75,8 @@ class FakeWorker:
             else:
                 self.kept.set()
 
-    def _evaluate(self, rows: Rows) -> Rows:
-        return evaluate(rows)
-
     def _result(self, work: Work) -> Result:
-        found = self._evaluate(unpack(SHAPE.empty(work.n), WORK, work.columns))
+        found = evaluate(unpack(SHAPE.empty(work.n), WORK, work.columns))
         failed = np.flatnonzero(found["outcome"] == 0).tolist()
         same = ("epoch", "run", "generation", "batch", "attempt", "n")
         return result_message(
@@ -90,20 +87,6 @@ class FakeWorker:
             cpu_seconds=0.001,
             failures=[Failure(row=row, reason="poison") for row in failed],
         )
-
-
-class LyingWorker(FakeWorker):
-    """A worker that answers with other places than are true, once it has answered so many rows."""
-
-    def __init__(self, bus: Bus, wid: str, *, after: int = 0) -> None:
-        super().__init__(bus, wid)
-        self._after = after
-
-    def _evaluate(self, rows: Rows) -> Rows:
-        found = evaluate(rows)
-        if self.rows > self._after:
-            found["descriptor"] *= np.float32(0.5)
-        return found
 
 
 class RunningWorker(ServiceThread):

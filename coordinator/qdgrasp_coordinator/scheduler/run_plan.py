@@ -31,24 +31,55 @@ from qdgrasp_protocol.messages import Failure, OpenRun
 from qdgrasp_protocol.rows import Genomes, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
 
+CompareRow = Callable[[int, np.void, str], None]
+"""Takes a row's place among the recorded ones, the row as evaluated now, and its error."""
 
-class EvaluationPlan(Protocol):
-    """Rows to evaluate in a run, in the order in which they count; `Pipeline` for a search."""
 
-    tally: RunCounter
+class ReevaluationPlan:
+    """Recorded rows that are evaluated once more; no row becomes final.
+
+    They are `recorded` in any order: (n,). Each travels under another key: generation 0, its place among the
+    recorded rows as index, and its trial. `compare` is called once for each row.
+    """
+
+    def __init__(self, recorded: Rows, compare: CompareRow) -> None:
+        self.tally = RunCounter(len(recorded), "count")  # Rows evaluated so far; trials count as evaluations
+        self._recorded = recorded
+        self._compare = compare
+        self._is_due = True
+        self._is_missing = np.ones(len(recorded), dtype=bool)
 
     @property
     def finished(self) -> str | None:
-        """Reason why the run is over; None while it is not."""
+        """Reason why it is over; None while rows are missing."""
+        return None if self._is_missing.any() else "all rows were evaluated again"
 
     def ask(self) -> Generation | None:
-        """Return the next rows to evaluate; None: nothing to evaluate now."""
+        """Return all rows at the first call, then None."""
+        if not self._is_due:
+            return None
+        self._is_due = False
+        indices = np.arange(len(self._recorded), dtype=np.uint32)
+        return Generation(0, indices, self._recorded["trial"], self._recorded["genome"])
 
     def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> JournalSlice:
-        """Take evaluated rows, in any order, and give those that have just become final."""
+        """Compare evaluated rows with the recorded ones; returns no rows."""
+        reasons = {failure.row: failure.reason for failure in failures}
+        fresh = np.flatnonzero(self._is_missing[rows["index"]])
+        self._is_missing[rows["index"]] = False
+        for place in fresh.tolist():
+            self._compare(int(rows["index"][place]), rows[place], reasons.get(place, ""))
+        counted = rows[fresh]
+        counted["trial"] = 0
+        self.tally.count(counted)
+        return JournalSlice(0, rows[:0])
 
     def replay(self, rows: Rows) -> None:
-        """Take the next recorded rows as if they had just been evaluated."""
+        """Do nothing: no row is recorded."""
+
+
+EvaluationPlan = Pipeline | ReevaluationPlan
+"""Rows to evaluate in a run, in the order in which they count."""
 
 
 @dataclass(frozen=True)
@@ -325,50 +356,3 @@ def row_shape(scene: Scene, prior: str) -> RowShape:
     """Return the shape of a scene's rows."""
     joints = len(scene.gripper.joints)
     return RowShape(len(layout(scene, prior)), joints, descriptors(prior), scene.contact_slots)
-
-
-CompareRow = Callable[[int, np.void, str], None]
-"""Takes a row's place among the recorded ones, the row as evaluated now, and its error."""
-
-
-class ReevaluationPlan:
-    """Recorded rows that are evaluated once more; no row becomes final.
-
-    They are `recorded` in any order: (n,). Each travels under another key: generation 0, its place among the
-    recorded rows as index, and its trial. `compare` is called once for each row.
-    """
-
-    def __init__(self, recorded: Rows, compare: CompareRow) -> None:
-        self.tally = RunCounter(len(recorded), "count")  # Rows evaluated so far; trials count as evaluations
-        self._recorded = recorded
-        self._compare = compare
-        self._is_due = True
-        self._is_missing = np.ones(len(recorded), dtype=bool)
-
-    @property
-    def finished(self) -> str | None:
-        """Reason why it is over; None while rows are missing."""
-        return None if self._is_missing.any() else "all rows were evaluated again"
-
-    def ask(self) -> Generation | None:
-        """Return all rows at the first call, then None."""
-        if not self._is_due:
-            return None
-        self._is_due = False
-        indices = np.arange(len(self._recorded), dtype=np.uint32)
-        return Generation(0, indices, self._recorded["trial"], self._recorded["genome"])
-
-    def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> JournalSlice:
-        """Compare evaluated rows with the recorded ones; returns no rows."""
-        reasons = {failure.row: failure.reason for failure in failures}
-        fresh = np.flatnonzero(self._is_missing[rows["index"]])
-        self._is_missing[rows["index"]] = False
-        for place in fresh.tolist():
-            self._compare(int(rows["index"][place]), rows[place], reasons.get(place, ""))
-        counted = rows[fresh]
-        counted["trial"] = 0
-        self.tally.count(counted)
-        return JournalSlice(0, rows[:0])
-
-    def replay(self, rows: Rows) -> None:
-        """Do nothing: no row is recorded."""

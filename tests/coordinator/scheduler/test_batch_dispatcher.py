@@ -88,6 +88,10 @@ class TestCredit:
         assert np.frombuffer(work.columns["index"], "<u4").tolist() == [2, 3]
         assert work.columns["genome"] == genomes(10)[2:4].tobytes()
 
+    def test_ids_of_batches_are_never_used_again_also_where_an_epoch_recurs(self) -> None:
+        ids = [lease.task.id for _ in range(3) for lease in with_work(n=50, batch_size=1).leases(0.0)]
+        assert (len(set(ids)), {len(one) for one in ids}) == (len(ids), {16})
+
     def test_the_workers_that_are_wanted_are_those_that_queued_and_leased_batches_keep_busy(self) -> None:
         dispatch = with_work(n=9)
         dispatch.leases(0.1)
