@@ -89,7 +89,7 @@ def monitor(
         if as_json:
             echo(to_json(views, endpoint))
         else:
-            print_look(views, endpoint, there.foreign_jobs)
+            print_look(views, endpoint)
         return
     with lifetime("qdgrasp-monitor") as stop, ExitStack() as stack:
         credentials = Credentials.find(security, Role.MONITOR)
@@ -111,9 +111,9 @@ def chosen_views(views: Sequence[JobView], job: str | None) -> Sequence[JobView]
     return [view for view in views if job in (None, view.job)]
 
 
-def print_look(views: Sequence[JobView], endpoint: str, foreign_jobs: Sequence[str]) -> None:
+def print_look(views: Sequence[JobView], endpoint: str) -> None:
     """Print the state of jobs once."""
-    terminal_console().print(report(ScreenState(views, endpoint, local_time(), foreign_jobs=foreign_jobs)))
+    terminal_console().print(report(ScreenState(views, endpoint, local_time())))
 
 
 def terminal_console() -> Console:

@@ -92,12 +92,6 @@ class Feed:
         """False while the router cannot be reached."""
         return self._jobs.is_linked
 
-    @property
-    def foreign_jobs(self) -> list[str]:
-        """Jobs whose messages cannot be read: their coordinators are of another version of qdgrasp."""
-        with self._changed:
-            return self._jobs.foreign_jobs
-
     def wait(self, timeout: float) -> bool:
         """Wait for a message, for so many seconds at most; False where none came."""
         with self._changed:

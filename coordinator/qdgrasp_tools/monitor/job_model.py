@@ -6,6 +6,7 @@ clock, bus or thread: time is passed in, in seconds since 1970, and queries that
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any, TypeVar
 
 from msgspec import Struct, structs
@@ -166,7 +167,6 @@ class JobModel:
         self.name = name
         self.meta: JobMeta | None = None
         self.figures: JobStatus | None = None
-        self.is_readable = True  # False while its coordinator publishes figures of another version
         self.received_at = 0.0  # Time of its latest message [s since 1970]
         self._epoch_meta: JobMeta | None = None  # the latest that says which job it goes on with
         self._published: JobStatus | None = None
@@ -184,18 +184,14 @@ class JobModel:
 
     # Messages
 
-    def receive(self, key: str, payload: bytes, now: float) -> bool:
-        """Take a message, or an answer; False where this version cannot read it."""
+    def receive(self, key: str, payload: bytes, now: float) -> None:
+        """Take a message, or an answer; one that cannot be read is no coordinator's of this version."""
         for pattern, kind, take in self._handlers(last_chunk(key)):
             if key == pattern:
-                try:
+                with suppress(MessageError):
                     take(job_status.from_json(payload, kind), now)
-                except MessageError:  # of another version, or of no coordinator
-                    self.is_readable = self.is_readable and key != self.keys.stat("job")
-                    return False
-                self.received_at = max(self.received_at, now)
-                return True
-        return False
+                    self.received_at = max(self.received_at, now)
+                return
 
     def coordinator_changed(self, key: str, alive: bool, now: float, *, is_linked: bool = True) -> None:
         """Take that a coordinator's token appeared or ended; without a link all seem to end."""
@@ -229,7 +225,6 @@ class JobModel:
         self._epoch_meta = meta if meta.epoch else self._epoch_meta or meta
 
     def _take_figures(self, figures: JobStatus, now: float) -> None:
-        self.is_readable = True
         if self._gone_at is not None and now > self._gone_at + LATE_MESSAGE_SECONDS:
             self._gone_at = None  # another coordinator starts, and has no token yet
         self._published = figures
@@ -359,11 +354,6 @@ class JobModels:
         is_linked = self.is_linked and now > self._linked_at + SILENCE_SECONDS
         views = [self._jobs[name].view(now, is_linked=is_linked) for name in sorted(self._jobs)]
         return [view for view in views if view is not None]
-
-    @property
-    def foreign_jobs(self) -> list[str]:
-        """Jobs whose coordinators are of another version of qdgrasp."""
-        return sorted(job.name for job in self._jobs.values() if not job.is_readable)
 
     def _job(self, key: str) -> JobModel | None:
         """Return the model of a key's job; a new one replaces the longest silent at `MAX_JOBS`."""

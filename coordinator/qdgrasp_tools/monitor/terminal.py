@@ -102,7 +102,6 @@ class ScreenState:
     endpoint: str
     at: datetime  # Local time
     is_linked: bool = True  # False while the router cannot be reached
-    foreign_jobs: Sequence[str] = ()  # Jobs of another version
     objects: Sequence[ObjectListing] | None = None  # Of the selected job; None: they are not known
     curve: GrowthCurve | None = None  # Of the selected job's only run; None: it is not known
 
@@ -147,9 +146,6 @@ class ScreenState:
         lines: list[RenderableType] = [bar]
         if self.link:
             lines.append(text_line(self.link, "" if self.is_over else "bold red"))
-        if self.foreign_jobs:
-            words = f"Watch with their own version of qdgrasp-monitor: {', '.join(self.foreign_jobs)}"
-            lines.append(text_line(words, "bold yellow"))
         return lines
 
 
@@ -351,7 +347,7 @@ def status_lines(shown: ScreenState) -> list[str]:
 
 def screen_state(feed: Feed, endpoint: str) -> ScreenState:
     """Return the state of a feed as the screen shows it now."""
-    return ScreenState(feed.views(), endpoint, local_time(), feed.is_linked, feed.foreign_jobs)
+    return ScreenState(feed.views(), endpoint, local_time(), feed.is_linked)
 
 
 def local_time() -> datetime:

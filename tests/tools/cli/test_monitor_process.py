@@ -30,11 +30,11 @@ def test_json_is_one_line_from_which_all_can_be_read_again() -> None:
     assert msgspec.convert(read["jobs"], list[JobView]) == BOTH
 
 
-def test_one_look_shows_all_jobs_and_names_those_of_another_version(capsys, monkeypatch) -> None:
+def test_one_look_shows_all_jobs(capsys, monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    monitor_process.print_look(BOTH, ENDPOINT, ["old"])
+    monitor_process.print_look(BOTH, ENDPOINT)
     said = capsys.readouterr().out
-    for words in ("mugs: running", "cubes: running", "qdgrasp-monitor: old", "1 000 of 3 000", "n0"):
+    for words in ("mugs: running", "cubes: running", "1 000 of 3 000", "n0"):
         assert words in said
     assert max(map(len, said.splitlines())) <= 80
 

@@ -166,12 +166,10 @@ def test_while_the_router_is_away_nobody_knows_whether_a_coordinator_is_there(jo
     assert view_of(jobs, START + 62).state == "running"
 
 
-def test_a_job_of_another_version_is_named_until_it_can_be_read() -> None:
+def test_what_cannot_be_read_is_passed_over() -> None:
     jobs = JobModels()
     jobs.receive(MUGS.stat("job"), b'{"job": "mugs", "figures": "quite other ones"}', START)
-    assert (jobs.views(START), jobs.foreign_jobs) == ([], ["mugs"])
-    jobs.receive_answers(values(), START)
-    assert (len(jobs.views(START)), jobs.foreign_jobs) == (1, [])
+    assert jobs.views(START) == []
 
 
 def test_the_columns_of_a_history_are_of_one_length_and_bounded() -> None:

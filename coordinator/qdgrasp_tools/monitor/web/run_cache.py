@@ -99,20 +99,6 @@ class TtlCache(Generic[T]):
             self._due = self._clock() + self._fresh(answer)
 
 
-def made_once(most: int, make: Callable[..., T]) -> Callable[..., T]:
-    """Keep `most` values by their key, each made once.
-
-    `lru_cache` alone makes one twice if two threads ask for it first.
-    """
-    kept, lock = lru_cache(most)(make), threading.Lock()
-
-    def get(*key: str) -> T:
-        with lock:
-            return kept(*key)
-
-    return get
-
-
 @dataclass(frozen=True)
 class JournalReading:
     """The part of a journal that has been read."""
@@ -165,8 +151,8 @@ class RunCache:
         def scene(digest: str) -> TtlCache[LoadedScene]:
             return TtlCache(lambda _: self._load_scene(digest), lambda _: inf, clock)
 
-        self._scenes = made_once(MAX_SCENES, scene)
-        self._pictures = made_once(MAX_GRASP_PICTURES, self._draw)
+        self._scenes = lru_cache(MAX_SCENES)(scene)
+        self._pictures = lru_cache(MAX_GRASP_PICTURES)(self._draw)
 
     def scene(self) -> bytes:
         """Return JSON of the `BrowserScene` of the journal that the cells are from."""
@@ -254,7 +240,7 @@ class RunCaches:
     """
 
     def __init__(self, records: Records, clock: Callable[[], float] = time.monotonic) -> None:
-        self._runs = made_once(MAX_RUNS, lambda job, run: RunCache(records, job, run, clock))
+        self._runs = lru_cache(MAX_RUNS)(lambda job, run: RunCache(records, job, run, clock))
 
     def run(self, job: str, run: str) -> RunCache:
         """Return the cache of a run."""
@@ -270,7 +256,7 @@ class JobCaches(RunCaches):
         def kept(
             most: int, query: Callable[..., T], fresh: Callable[[T], float] = lambda _: LISTED_SECONDS
         ) -> Callable[..., TtlCache[T]]:
-            return made_once(most, lambda *key: TtlCache(lambda _: query(*key), fresh, clock))
+            return lru_cache(most)(lambda *key: TtlCache(lambda _: query(*key), fresh, clock))
 
         def entry(job: str, run: str) -> tuple[RunListing, ...]:
             return tuple(filter(None, (records.entry(job, run),)))

@@ -95,8 +95,8 @@ class PageState:
         with self._lock:
             if time.monotonic() > self._encoded_at + STATE_SECONDS / 2:
                 jobs = [job_state(view) for view in self.views()]
-                link = {"linked": self._feed.is_linked, "foreign_jobs": self._feed.foreign_jobs}
-                self._text = msgspec.json.encode({"at": time.time(), **link, "jobs": jobs})
+                state = {"at": time.time(), "linked": self._feed.is_linked, "jobs": jobs}
+                self._text = msgspec.json.encode(state)
                 self._encoded_at = time.monotonic()
             return self._text
 

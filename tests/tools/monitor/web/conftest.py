@@ -62,10 +62,6 @@ class FakeFeed:
     def is_linked(self) -> bool:
         return self.jobs.is_linked
 
-    @property
-    def foreign_jobs(self) -> list[str]:
-        return self.jobs.foreign_jobs
-
     def views(self) -> list[JobView]:
         with self.lock:
             return self.jobs.views(self.now)

@@ -1,5 +1,4 @@
 import json
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.records import JournalId, RecordPage
-from qdgrasp_tools.monitor.web import run_cache
 from qdgrasp_tools.monitor.web.run_cache import (
     BUSY_SECONDS,
     FRESH_SECONDS,
@@ -29,22 +27,6 @@ def records(make_scene) -> HandMadeRecords:
 @pytest.fixture
 def run(records: HandMadeRecords) -> RunCache:
     return RunCaches(records, lambda: records.now).run("job", "run")
-
-
-def test_what_two_threads_ask_for_first_is_made_once() -> None:
-    made, others = [], []
-
-    def make(key: str) -> object:
-        made.append(key)
-        if len(made) == 1:
-            others.extend(pool.submit(get, key) for _ in range(7))
-        return object()
-
-    get = run_cache.made_once(2, make)
-    with ThreadPoolExecutor(8) as pool:
-        first = pool.submit(get, "a").result()
-        assert {id(other.result()) for other in others} == {id(first)}
-    assert made == ["a"]
 
 
 def origin(page: bytes) -> int:

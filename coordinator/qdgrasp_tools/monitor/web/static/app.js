@@ -33,7 +33,6 @@ function show() {
   const job = shown && { ...shown, object: selection.object, runs: recorded.of(shown, selection.object) };
   const run = job?.runs.find((each) => each.run === selection.run) ?? null;
   list.show(state.jobs, job?.job);
-  setText(find("foreign-jobs"), state.foreign_jobs.length ? `Of another version, and not shown: ${state.foreign_jobs.join(", ")}` : "");
   find("empty").hidden = Boolean(job);
   find("chosen").hidden = !job;
   explain(find("empty"), selection.job);
