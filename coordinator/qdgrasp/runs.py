@@ -29,7 +29,7 @@ from qdgrasp_tools.export.grasp_reader import (
     select_grasps,
 )
 from qdgrasp_tools.export.grasp_set import Grasps
-from qdgrasp_tools.export.tabular import arrow_table, load_pandas
+from qdgrasp_tools.export.tabular import SAMPLE_ROWS, arrow_table, load_pandas
 
 
 class Run:
@@ -136,8 +136,9 @@ class Run:
         and `min_fitness` is that of `grasps`. It needs the extra `qdgrasp[export]`.
         """
         check_packages("Run.tables", "pyarrow")
-        chosen = choose_grasps(read_run(self._folder), GraspChoice(min_fitness))
-        yield from map(arrow_table, chosen.tables(frame_of(frame)))
+        grasps = choose_grasps(read_run(self._folder), GraspChoice(min_fitness)).grasps
+        for first in range(0, len(grasps), SAMPLE_ROWS):
+            yield arrow_table(grasps[first : first + SAMPLE_ROWS].table(frame_of(frame)))
 
     def rows(self) -> Rows:
         """Return every row of the journal (n,), failures and trials too, as a structured array.

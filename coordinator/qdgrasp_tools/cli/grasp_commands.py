@@ -115,7 +115,7 @@ def export(
     Example: qdgrasp export runs/mug-s0 runs/mug-s1 runs/campaign --format parquet -o grasps
     """  # noqa: D205  # typer joins the lines
     from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
-    from qdgrasp_tools.export import dataset, exporter  # they take their time to load
+    from qdgrasp_tools.export import exporter  # takes its time to load
     from qdgrasp_tools.export.grasp_reader import GraspChoice
 
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
@@ -132,15 +132,15 @@ def export(
         echo(written)
         return
     with progress_messages() as tell, lifetime("qdgrasp export") as stop:
-        written = dataset.export_dataset(
+        written = exporter.export_dataset(
             folders,
             out,
             name,
             choice,
             frame=frame,
             negatives=negatives,
-            meshes=meshes or dataset.NAME,
-            shares=() if split is None else dataset.parse_shares(split),
+            meshes=meshes or exporter.NAME,
+            shares=() if split is None else exporter.parse_shares(split),
             force=force,
             tell=tell,
             is_stopped=lambda: stop.is_set,
@@ -189,7 +189,7 @@ def import_(
 
     Example: qdgrasp import grasps.yaml --gripper panda --object mug -o poses.npz
     """  # noqa: D205  # typer joins the lines
-    from qdgrasp_tools.export.dataset import is_dataset  # takes its time to load
+    from qdgrasp_tools.export.exporter import is_dataset  # takes its time to load
     from qdgrasp_tools.export.frames import frame_of
     from qdgrasp_tools.export.grasp_table import asset_name
     from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame

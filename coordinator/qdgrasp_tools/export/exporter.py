@@ -1,22 +1,35 @@
-"""Exports grasps: of a run to a file, of several runs and campaigns to a data set."""
+"""Exports grasps: of a run to a file; of runs and campaigns to a data set with index and card."""
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from string import Template
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
+from qdgrasp_assets.geometry.mesh import parts_to_obj
+from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import InputError, UnknownName, check_packages
+from qdgrasp_coordinator.storage.tables import csv_text
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName, check_packages
+from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_protocol.spec import ENGINES, ObjectRecord
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.export import jaw_files, tabular, yaml_files
-from qdgrasp_tools.export.frames import Frame, frame_of
+from qdgrasp_tools.export.frames import Frame, frame_of, object_mesh
 from qdgrasp_tools.export.grasp_reader import (
     ALL_FAILURES,
     ALL_GRASPS,
     NOT_SETTLED,
+    OBJECT_FRAMES,
     ChosenGrasps,
     GraspChoice,
     choose_grasps,
@@ -24,7 +37,15 @@ from qdgrasp_tools.export.grasp_reader import (
     read_journal,
     read_run,
 )
-from qdgrasp_tools.export.grasp_table import GraspMetadata, RunTable
+from qdgrasp_tools.export.grasp_table import (
+    FITNESS_MEANING,
+    UNITS,
+    GraspMetadata,
+    RunTable,
+    asset_name,
+    common_values,
+)
+from qdgrasp_tools.export.yaml_files import to_yaml
 
 
 @dataclass(frozen=True)
@@ -34,9 +55,7 @@ class ExportFormat:
     name: str
     suffix: str
     """Ending of its files; empty: it is a folder."""
-    write_table: Callable[[Path, RunTable], None] | None = None
-    """Writes all grasps at once; None: `write_parts` does, part by part."""
-    write_parts: Callable[[Path, Iterable[RunTable]], None] | None = None
+    write: Callable[[Path, RunTable], None]
     default_failures: int | None = 0
     """Failures that are written by default; None: the format has no place for them."""
     packages: tuple[str, ...] = ()
@@ -48,22 +67,15 @@ class ExportFormat:
             raise InputError(f"{self.name} has no place for failures; leave --negatives out.")
         return negatives if negatives is not None else self.default_failures or 0
 
-    def write(self, path: Path, chosen: ChosenGrasps, metadata: GraspMetadata) -> None:
-        """Write the chosen grasps of a run."""
-        if self.write_table:
-            self.write_table(path, chosen.grasps.table(metadata.frame, metadata))
-        elif self.write_parts:
-            self.write_parts(path, chosen.tables(metadata.frame, metadata))
-
 
 FORMATS = {
     each.name: each
     for each in (
         ExportFormat("isaac", ".yaml", yaml_files.write_isaac, default_failures=None),
         ExportFormat("acronym", ".h5", jaw_files.write_acronym, packages=("h5py",)),
-        ExportFormat("graspgen", "", write_parts=jaw_files.write_graspgen, default_failures=ALL_FAILURES),
-        ExportFormat("parquet", ".parquet", write_parts=tabular.write_parquet, packages=("pyarrow",)),
-        ExportFormat("webdataset", ".tar", write_parts=tabular.write_tar),
+        ExportFormat("graspgen", "", jaw_files.write_graspgen, default_failures=ALL_FAILURES),
+        ExportFormat("parquet", ".parquet", tabular.write_parquet, packages=("pyarrow",)),
+        ExportFormat("webdataset", ".tar", tabular.write_tar),
         ExportFormat("moveit", ".yaml", yaml_files.write_moveit, default_failures=None),
         ExportFormat("csv", ".csv", tabular.write_csv),
     )
@@ -121,7 +133,7 @@ def export_run(
         tell(f"writing {counted(len(chosen.grasps), 'evaluation')} to {out}")
         metadata = grasp_metadata(chosen, object_frame, journal)
         with output.writing() as made:
-            form.write(made, chosen, metadata)
+            form.write(made, chosen.grasps.table(object_frame, metadata))
     return _written(out, chosen, choice, metadata, object_frame)
 
 
@@ -148,3 +160,339 @@ def _no_grasps(folder: RunFolder, choice: GraspChoice, rows: int) -> str:
         f"{successes.confidence.max():.3g}. --min-fitness 0 takes every success; other limits may be too "
         "narrow."
     )
+
+
+DATA, MESHES = "data", "meshes"
+CARD, INDEX = "README.md", "index.csv"
+COPY, NAME = "copy", "name"
+SPLIT_NAMES = ("train", "validation", "test")
+TABLES = ("parquet", "webdataset")
+"""Formats that hubs show as tables: their files are in a folder for each split."""
+COUNTS = ("evaluations", "successes", "grasps", "robust")
+
+
+def parse_shares(text: str) -> tuple[float, ...]:
+    """Read the shares of train, validation and test, such as "80,10,10"."""
+    with suppress(ValueError):
+        shares = tuple(float(word) for word in text.split(","))
+        if 1 <= len(shares) <= len(SPLIT_NAMES) and min(shares) >= 0 and 0 < sum(shares) < np.inf:
+            return shares
+    raise ImpossibleValue("split", text, "the shares of train, validation and test, such as 80,10,10")
+
+
+def split_of(name: str, shares: tuple[float, ...]) -> str:
+    """Return the split of an object, by a hash of its name; empty without shares.
+
+    It is the same in every data set. Shares (k,) are of any sum.
+    """
+    if not shares:
+        return ""
+    place = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") / 2**64 * sum(shares)
+    return SPLIT_NAMES[int((np.cumsum(shares) > place).argmax())]
+
+
+def is_dataset(path: Path) -> bool:
+    """Return whether a folder is a data set that was exported."""
+    return all((path / name).is_file() for name in (CARD, INDEX))
+
+
+class DatasetRun(NamedTuple):
+    """One run of a data set; sorted, runs of one hand and one object are neighbours."""
+
+    gripper: str
+    split: str
+    object: str
+    name: str
+    """Its name here: that of its folder, with a number where another one has that too."""
+    folder: RunFolder
+    about: ObjectRecord
+
+
+Entry = dict[str, Any]
+"""A line of the index: one run."""
+
+
+def export_dataset(
+    folders: Sequence[RunFolder],
+    out: Path,
+    name: str,
+    choice: GraspChoice = ALL_GRASPS,
+    *,
+    frame: str = "mesh",
+    negatives: int | None = None,
+    meshes: str = NAME,
+    shares: tuple[float, ...] = (),
+    force: bool = False,
+    tell: Tell = ignore_progress,
+    is_stopped: Callable[[], bool] = lambda: False,
+) -> str:
+    """Write runs as one data set; returns a sentence, empty if it was stopped.
+
+    The choice is made of each run; nothing is left of an export that was stopped. `meshes` "copy" writes the
+    mesh of each object. `shares` split objects without a split of their own. Runs that cannot be read are
+    left out, and named in the card. Raises InputError where it cannot be written, or there is no grasp.
+    """
+    form = format_of(name)
+    if meshes not in (COPY, NAME):
+        raise UnknownName("meshes", meshes, (COPY, NAME))
+    failures = form.failures(negatives)
+    output = OutFolder(out, force=force, is_kind=is_dataset)
+    output.check()
+    with suppress(_StopExport), output.writing() as made:
+        made.mkdir()
+        writer = DatasetWriter(made, form, choice, frame_of(frame), failures, meshes, shares)
+        for run in sorted(writer.runs(folders)):
+            tell(f"run {run.name}, {len(writer.entries)} of {len(folders)} written")
+            if is_stopped():
+                raise _StopExport
+            writer.write(run)
+        return f"{writer.write_lists()} written to {out}, poses in the objects' {frame} frame."
+    return ""
+
+
+class _StopExport(Exception):
+    """The export was stopped; nothing of it is left."""
+
+
+@dataclass
+class DatasetWriter:
+    """Writes the files of a data set into a folder, run by run."""
+
+    path: Path
+    format: ExportFormat
+    choice: GraspChoice
+    frame: Frame
+    failures: int
+    """Failures of each run, at most."""
+    meshes: str
+    shares: tuple[float, ...]
+    entries: list[Entry] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Runs that cannot be read, with the reason."""
+
+    def __post_init__(self) -> None:
+        self._engines: tuple[str, ...] = ()  # Those that any run has a table of
+
+    def runs(self, folders: Sequence[RunFolder]) -> Iterator[DatasetRun]:
+        """Yield the runs that can be read."""
+        names: Counter[str] = Counter()
+        self._engines = tuple(
+            name for name in ENGINES if any((each.path / f"engine-{name}.csv").exists() for each in folders)
+        )
+        for folder in folders:
+            name = folder.path.absolute().name
+            names[name] += 1
+            unique = name if names[name] == 1 else f"{name}-{names[name]}"
+            try:
+                spec = folder.spec
+            except InputError as error:
+                self.left_out[unique] = str(error)
+                continue
+            about = spec.about or ObjectRecord()
+            object_ = about.id or asset_name(spec.object)
+            split = about.split or split_of(object_, self.shares)
+            yield DatasetRun(asset_name(spec.gripper), split, object_, unique, folder, about)
+
+    def write(self, run: DatasetRun) -> None:
+        """Write the grasps of a run, or note why it cannot be read."""
+        least = Outcome.MISSED if self.failures else Outcome.DROPPED
+        try:
+            with run.folder.journal() as journal:
+                every = read_journal(run.folder, journal, least, self._engines, run.name)
+                chosen = choose_grasps(every, self.choice, self.failures)
+                metadata = grasp_metadata(chosen, self.frame, journal)
+                totals = count_rows(every.spec, journal.blocks()).totals
+        except InputError as error:
+            self.left_out[run.name] = str(error)
+            return
+        body, about, common = every.scene.object, run.about, common_values(every.spec)
+        self.entries.append({
+            "object": run.object,
+            "gripper": run.gripper,
+            "run": run.name,
+            "split": run.split,
+            "category": about.category,
+            "licence": about.licence or body.licence,
+            "source": about.source or body.source,
+            "object_file": metadata.object_file,
+            "object_sha256": metadata.object_sha256,
+            "mesh": self._mesh(run.object, chosen, metadata),
+            **{name: common[name] for name in ("method", "seed", "protocol", "engine")},
+            **{name: getattr(totals, name) for name in COUNTS},
+            "min_fitness": chosen.min_fitness,
+            "rows": len(chosen.grasps),
+            "failures": chosen.failures,
+            "best_quality": chosen.best,
+            "digest": metadata.runs[0].digest,
+            "scene": metadata.scene,
+            "files": " ".join(self._write_file(run, chosen, metadata)),
+        })  # fmt: skip
+
+    def _write_file(self, run: DatasetRun, chosen: ChosenGrasps, metadata: GraspMetadata) -> list[str]:
+        """Write the grasps of a run, if there are any; returns the names of its files."""
+        form, home = self.format, self.path / DATA / job_name(run.gripper)
+        if form.name in TABLES:
+            home /= run.split or SPLIT_NAMES[0]
+        if not len(chosen.grasps):
+            return []
+        home.mkdir(parents=True, exist_ok=True)
+        table = chosen.grasps.table(self.frame, metadata)
+        if form.suffix:
+            made = [home / f"{run.name}{form.suffix}"]
+            form.write(made[0], table)
+        else:
+            jaw_files.write_graspgen_object(home, run.name, table)
+            ends = {jaw_files.DATA: "json", jaw_files.OBJECTS: "obj"}
+            made = [home / folder / f"{run.name}.{end}" for folder, end in ends.items()]
+        return [file.relative_to(self.path).as_posix() for file in made]
+
+    def _mesh(self, name: str, chosen: ChosenGrasps, metadata: GraspMetadata) -> str:
+        """Copy the mesh of an object where that is asked for; returns its file."""
+        if self.meshes != COPY or not len(chosen.grasps):
+            return ""
+        file = f"{MESHES}/{job_name(name)}-{metadata.object_sha256[:12]}.obj"
+        if not (self.path / file).exists():
+            (self.path / MESHES).mkdir(exist_ok=True)
+            mesh = object_mesh(chosen.grasps.scene.object, self.frame)
+            (self.path / file).write_bytes(parts_to_obj([mesh]))
+        return file
+
+    def write_lists(self) -> str:
+        """Write the index and the card; returns how much was written, in words."""
+        if not any(entry["rows"] for entry in self.entries):
+            why = "; --min-fitness 1 takes what survived some disturbance, 0 all successes."
+            if self.left_out:
+                number, first = counted(len(self.left_out), "run"), next(iter(self.left_out.values()))
+                why = f": {number} could not be read, the first: {first}"
+            raise FolderError(f"There is no grasp to write{why}")
+        if not self.format.suffix:
+            self._write_graspgen_lists()
+        (self.path / INDEX).write_text(csv_text(self.entries, list(self.entries[0])), encoding="utf-8")
+        text, words = card_text(self)
+        (self.path / CARD).write_text(text, encoding="utf-8")
+        beside = f"; {counted(len(self.left_out), 'run')} left out, see {CARD}" if self.left_out else ""
+        return f"{words}{beside}"
+
+    def _write_graspgen_lists(self) -> None:
+        hands: dict[str, dict[str, tuple[str, ...]]] = {}
+        for entry in self.entries:
+            if entry["rows"]:
+                split = "valid" if entry["split"] == "validation" else entry["split"]
+                splits = (split,) if split else ("train", "valid")
+                hands.setdefault(job_name(entry["gripper"]), {})[entry["run"]] = splits
+        for hand, objects in hands.items():
+            jaw_files.write_graspgen_index(self.path / DATA / hand, objects)
+
+
+SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "10M<n<100M", "100M<n<1B", "n>1T")
+"""Categories of the hub for the number of lines, each for ten times as many."""
+CARD_TEMPLATE = Template(f"""---
+$head---
+
+# Grasps of qdgrasp
+
+$words.
+
+| hand | split | objects | lines |
+|---|---|---|---|
+$hands
+
+## Simulation
+
+An open hand without an arm is placed at a commanded pose, closes, and the object is disturbed
+($evaluations in all, under the protocols and engines of the index):
+
+- success: a finger touches the object after closing
+- grasp: a success that survives at least one disturbance: fitness 1 or more
+- fitness: {FITNESS_MEANING}
+- quality (`confidence`): 0 to 1, higher is better: the estimated probability of transfer where it is known,
+  else the share of the disturbances that was survived
+
+## Frames
+
+Units are {UNITS}. Poses are those of the hand's root link in the object's `$frame` frame: $meaning.
+The commanded pose goes with the open joints, the settled pose with the joints after closing. Quaternions in
+tables are x, y, z, w. Each file says of itself: link, axes, scale, masses, centre of mass, digests, and the
+spec that repeats its run.
+
+## Files
+
+`{INDEX}` has a line for each run: object, hand, counts, digests, files. The files in `{DATA}/HAND` are of the
+format `$format`; docs/formats.md of qdgrasp explains it. Poses of an object in a data set of Parquet are
+scored again by `qdgrasp import DIR --gripper HAND --object MESH -o poses.npz`.
+
+## Licences
+
+Meshes $copies; each keeps its own licence.
+
+| licence of the object | objects |
+|---|---|
+$licences
+$left_out
+## How to cite
+
+Huber, J., Hélénon, F., Kappel, M., Chelly, E., Khoramshahi, M., Ben Amar, F., Doncieux, S. (2024). Speeding
+up 6-DoF Grasp Sampling with Quality-Diversity. arXiv:2403.06173.
+""")
+
+
+def card_text(data: DatasetWriter) -> tuple[str, str]:
+    """Return the card of a data set, and how much is in it, in words."""
+    entries = data.entries
+    rows, failures = (sum(entry[name] for entry in entries) for name in ("rows", "failures"))
+    objects = counted(len({entry["object"] for entry in entries}), "object")
+    beside = f" and {counted(failures, 'failure')}" if failures else ""
+    words = f"{counted(rows - failures, 'grasp')}{beside} of {objects} in {counted(len(entries), 'run')}"
+    lines, known, licences = (
+        Counter[tuple[str, str]](),
+        dict[tuple[str, str], set[str]](),
+        dict[str, set[str]](),
+    )
+    for entry in entries:
+        hand, object_ = (entry["gripper"], entry["split"]), entry["object"]
+        lines[hand] += entry["rows"]
+        known.setdefault(hand, set()).add(object_)
+        licences.setdefault(" ".join(entry["licence"].split()) or "not stated", set()).add(object_)
+    hands = [f"| {hand} | {split or 'none'} | {len(known[hand, split])} | {count} |"
+             for (hand, split), count in sorted(lines.items())]  # fmt: skip
+    left = [f"- `{run}`: {' '.join(reason.split())}" for run, reason in data.left_out.items()]
+    text = CARD_TEMPLATE.substitute(
+        head=to_yaml(_head(data, rows)),
+        words=words,
+        hands="\n".join(hands),
+        evaluations=counted(sum(entry["evaluations"] for entry in entries), "evaluation"),
+        frame=data.frame,
+        meaning=OBJECT_FRAMES[data.frame].format("the mesh"),
+        format=data.format.name,
+        copies="are copied" if data.meshes == COPY else "are only named, with their digests",
+        licences="\n".join(f"| {name} | {len(each)} |" for name, each in sorted(licences.items())),
+        left_out="\n".join(["", "## Left out", "", "Runs that could not be read:", "", *left, ""])
+        if left
+        else "",
+    )
+    return text, words
+
+
+def _head(data: DatasetWriter, rows: int) -> dict[str, Any]:
+    """Return the head of the card; of formats that the hub shows as tables, with their files."""
+    tables: dict[str, dict[str, str]] = {}
+    for entry in data.entries if data.format.name in TABLES else ():
+        if entry["files"]:
+            pattern = f"{entry['files'].rpartition('/')[0]}/*{data.format.suffix}"
+            tables.setdefault(entry["gripper"], {})[entry["split"] or SPLIT_NAMES[0]] = pattern
+    configs = [
+        {"config_name": job_name(hand),
+         "data_files": [{"split": split, "path": path} for split, path in sorted(paths.items())]}
+        for hand, paths in sorted(tables.items())
+    ]  # fmt: skip
+    index = {"config_name": "index", "data_files": [{"split": "train", "path": INDEX}]}
+    return {
+        "pretty_name": "Grasps of qdgrasp",
+        "license": "other",
+        "license_name": "see-the-table-of-licences",
+        "license_link": CARD,
+        "task_categories": ["robotics"],
+        "tags": ["robotics", "grasping", "qdgrasp", data.format.name],
+        "size_categories": [SIZES[min(max(len(str(rows)) - 3, 0), len(SIZES) - 1)]],
+        "configs": [*configs, index],
+    }

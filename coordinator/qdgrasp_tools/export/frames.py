@@ -1,7 +1,6 @@
-"""Frames that grasps are given in, an object's mass and inertia there; distances of poses."""
+"""Frames that grasps are given in, an object's surface there; distances of poses."""
 
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -76,29 +75,11 @@ def jaw_turn(gripper: SceneGripper) -> Floats:
     return np.asarray(from_frame(x, np.cross(z, x), z)[0])
 
 
-@dataclass(frozen=True)
-class UniformSolid:
-    """A solid of uniform density."""
-
-    mesh: Mesh
-    """[m], in the frame of the poses."""
-    mass: float
-    """[kg]."""
-    com: Floats
-    """(3,) [m]: the centre of mass."""
-
-    @property
-    def inertia(self) -> Floats:
-        """(3, 3) [kg m2]: about the centre of mass, along the axes of the mesh."""
-        return self.mass * self.mesh.inertia
-
-
-def object_solid(body: SceneObject, frame: Frame) -> UniformSolid:
-    """Return the object of a scene in one of its frames."""
-    com = np.zeros(3) if frame == COM else np.array(body.com_in_mesh)
-    vertices = body.vertices.astype(np.float64)
+def object_mesh(body: SceneObject, frame: Frame) -> Mesh:
+    """Return the surface of a scene's object in one of its frames [m]."""
+    vertices = body.vertices.astype(np.float64) + (0.0 if frame == COM else np.array(body.com_in_mesh))
     faces = np.frombuffer(body.mesh_faces, dtype="<u4").reshape(-1, 3).astype(np.int64)
-    return UniformSolid(Mesh(vertices + com, faces), body.mass, com)
+    return Mesh(vertices, faces)
 
 
 def squared_distances(poses: Floats, other: Floats, hand: SceneGripper) -> Floats:

@@ -1,7 +1,7 @@
 """Reads, chooses and describes grasps of a run, some thousands at a time."""
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import chain
@@ -38,7 +38,6 @@ from qdgrasp_tools.export.grasp_table import (
     LIFT_MEANING,
     GraspMetadata,
     RestingPoseRecord,
-    RunTable,
     SourceRun,
 )
 
@@ -75,7 +74,6 @@ def read_journal(
     return Grasps(folder.scene(), folder.spec, name, found.numbers, found.rows, eta, trials, elsewhere)
 
 
-PART_ROWS = 8192  # Grasps that are in memory at a time, with all their columns
 NO_APPROACH = (None, None, 0.0, None)
 ALL_FAILURES = -1  # So many failures as there are
 
@@ -186,11 +184,6 @@ class ChosenGrasps(NamedTuple):
         """The best confidence; None: there is no grasp."""
         confidence = self.grasps.confidence[: len(self.grasps) - self.failures]
         return float(confidence.max()) if len(confidence) else None
-
-    def tables(self, frame: Frame, metadata: GraspMetadata | None = None) -> Iterator[RunTable]:
-        """Yield them as files have them, some thousand at a time."""
-        for first in range(0, len(self.grasps), PART_ROWS):
-            yield self.grasps[first : first + PART_ROWS].table(frame, metadata)
 
 
 def choose_grasps(every: Grasps, choice: GraspChoice, failures: int = 0) -> ChosenGrasps:

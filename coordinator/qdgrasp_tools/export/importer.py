@@ -23,7 +23,8 @@ from qdgrasp_protocol.errors import InputError, check_packages
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import first_few
-from qdgrasp_tools.export import dataset, jaw_files, tabular, yaml_files
+from qdgrasp_tools.export import jaw_files, tabular, yaml_files
+from qdgrasp_tools.export.exporter import INDEX, is_dataset
 from qdgrasp_tools.export.frames import COM, MESH, Frame, change_frame, jaw_turn, turn_hand_axes
 from qdgrasp_tools.export.grasp_table import (
     GraspMetadata,
@@ -81,7 +82,7 @@ class ImportFormat(NamedTuple):
 def read_grasp_file(path: Path) -> GraspTable:
     """Read and check the grasps in a file of any known format; raises UnreadableGrasps."""
     if path.is_dir():
-        one = "name one of its objects with --of" if dataset.is_dataset(path) else "name a file in it"
+        one = "name one of its objects with --of" if is_dataset(path) else "name a file in it"
         raise UnreadableGrasps(path, f"it is a folder; {one}")
     try:
         with path.open("rb") as file:
@@ -119,7 +120,7 @@ def read_dataset(folder: Path, gripper: str, object_: str) -> GraspTable:
 
 
 def _dataset_grasps(folder: Path, gripper: str, object_: str) -> GraspTable:
-    lines = read_csv(folder / dataset.INDEX, ("gripper", "object", "files"))
+    lines = read_csv(folder / INDEX, ("gripper", "object", "files"))
     ours = [line for line in lines if (line["gripper"], line["object"]) == (gripper, object_)]
     files = [folder / name for line in ours for name in line["files"].split() if name.endswith(".parquet")]
     if not files:

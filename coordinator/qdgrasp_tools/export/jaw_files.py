@@ -23,7 +23,7 @@ import msgspec
 import numpy as np
 
 from qdgrasp_assets.geometry.mesh import parts_to_obj
-from qdgrasp_tools.export.frames import from_matrices, object_solid
+from qdgrasp_tools.export.frames import from_matrices, object_mesh
 from qdgrasp_tools.export.grasp_table import (
     CONTACT_FIELDS,
     GraspMetadata,
@@ -56,16 +56,16 @@ def write_acronym(path: Path, table: RunTable) -> None:
 
 def _datasets(table: RunTable) -> dict[str, Any]:
     contacts, about = table.contacts, table.about
-    hand, body = table.scene.gripper, object_solid(table.scene.object, table.frame)
+    hand, body = table.scene.gripper, object_mesh(table.scene.object, table.frame)
     found = {
         "object/file": about.object_file or about.object,
         "object/scale": about.object_scale,
-        "object/mass": body.mass,
-        "object/density": body.mass / body.mesh.volume,
+        "object/mass": about.object_mass,
+        "object/density": about.object_mass / body.volume,
         "object/friction": about.object_friction,
-        "object/volume": body.mesh.volume,
-        "object/com": body.com,
-        "object/inertia": body.inertia,
+        "object/volume": body.volume,
+        "object/com": np.array(about.object_com),
+        "object/inertia": about.object_mass * body.inertia,
         TRANSFORMS: table.jaw_matrices(table.poses),
         "grasps/settled_transforms": table.jaw_matrices(table.settled),
         SUCCESSES: table.is_grasp.astype(np.int8),
@@ -139,40 +139,31 @@ BASE_OFFSET = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """Offset of GraspGen's axes from those of the transforms, xyz [m] and xyzw: zero."""
 
 
-def write_graspgen(path: Path, parts: Iterable[RunTable]) -> None:
+def write_graspgen(path: Path, table: RunTable) -> None:
     """Write grasps and failures as a GraspGen folder."""
     path.mkdir(parents=True)
-    name = write_graspgen_object(path, "", parts)
-    write_graspgen_index(path, {name: ("train", "valid")})
+    write_graspgen_object(path, table.about.object, table)
+    write_graspgen_index(path, {table.about.object: ("train", "valid")})
 
 
-def write_graspgen_object(path: Path, name: str, parts: Iterable[RunTable]) -> str:
-    """Write the JSON and the mesh of one object into a folder, and return its name.
-
-    Only the lists of one part are in memory as values; of the others there is the text.
-    """
-    lists: dict[str, list[bytes]] = {}
-    ours: dict[str, list[bytes]] = {}
-    for table in parts:
-        for texts, values in zip((lists, ours), _lists(table), strict=True):
-            for key, items in values.items():
-                texts.setdefault(key, []).append(msgspec.json.encode(items)[1:-1])
-    about, hand = table.jaw_metadata, table.scene.gripper
-    name = name or about.object
+def write_graspgen_object(path: Path, name: str, table: RunTable) -> None:
+    """Write the JSON and the mesh of one object into a folder."""
+    grasps, ours = _lists(table)
     beside = {
         "transform_offset_from_asset_to_graspgen_convention": BASE_OFFSET,
-        "joint_names": [joint.name for joint in hand.joints],
-        "grasps": _joined(ours),
+        "joint_names": table.joint_names,
+        "grasps": ours,
     }
-    whole: dict[str, Any] = {"object": {"file": f"{name}.obj", "scale": 1.0}, "grasps": _joined(lists)}
+    whole = {
+        "object": {"file": f"{name}.obj", "scale": 1.0},
+        "grasps": grasps,
+        "qdgrasp": table.jaw_metadata.values | beside,
+    }
     for folder in (DATA, OBJECTS):
         (path / folder).mkdir(exist_ok=True)
-    (path / DATA / f"{name}.json").write_bytes(
-        msgspec.json.encode(whole | {"qdgrasp": about.values | beside})
-    )
-    mesh = object_solid(table.scene.object, table.frame).mesh
+    (path / DATA / f"{name}.json").write_bytes(msgspec.json.encode(whole))
+    mesh = object_mesh(table.scene.object, table.frame)
     (path / OBJECTS / f"{name}.obj").write_bytes(parts_to_obj([mesh]))
-    return name
 
 
 def write_graspgen_index(path: Path, objects: Mapping[str, Iterable[str]]) -> None:
@@ -192,11 +183,6 @@ def is_graspgen(path: Path) -> bool:
         SPLITS,
         OBJECTS,
     }
-
-
-def _joined(texts: Mapping[str, list[bytes]]) -> dict[str, msgspec.Raw]:
-    """Join the texts of parts of lists."""
-    return {key: msgspec.Raw(b"[" + b",".join(filter(None, each)) + b"]") for key, each in texts.items()}
 
 
 def _lists(table: RunTable) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]:

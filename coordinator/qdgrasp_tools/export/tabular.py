@@ -1,13 +1,11 @@
 """CSV, Parquet and WebDataset tar: one table with a line for each grasp.
 
-Lines of CSV that begin with # are metadata. Parquet keeps every bit, and is read again; Parquet and tar are
-written some thousand grasps at a time.
+Lines of CSV that begin with # are metadata. Parquet keeps every bit, and is read again.
 """
 
 import io
 import tarfile
-from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -30,6 +28,7 @@ from qdgrasp_tools.export.grasp_table import (
     exact_decimals,
 )
 
+SAMPLE_ROWS = 8192  # Grasps in a sample of a tar file
 PREGRASP = "pregrasp."  # Prefix of columns of joints before closing; the joint's name follows
 CONTACTS, POSE_COLUMN, METADATA_KEY = "contact_points", "base_to_object", "qdgrasp"
 SAME_MEANINGS = {
@@ -67,17 +66,11 @@ def _plain(values: NDArray[np.generic]) -> list[Any]:
     return [None if value != value else value for value in exact_decimals(numbers).tolist()]
 
 
-def write_parquet(path: Path, parts: Iterable[RunTable]) -> None:
-    """Write grasps as a Parquet file compressed with zstd, part by part."""
+def write_parquet(path: Path, table: RunTable) -> None:
+    """Write grasps as a Parquet file compressed with zstd."""
     import pyarrow.parquet as pq
 
-    with ExitStack() as opened:
-        writer: Any = None
-        for table in parts:
-            rows = arrow_table(table, {METADATA_KEY: table.about.json})
-            if writer is None:
-                writer = opened.enter_context(pq.ParquetWriter(path, rows.schema, compression="zstd"))
-            writer.write_table(rows.cast(writer.schema))
+    pq.write_table(arrow_table(table, {METADATA_KEY: table.about.json}), path, compression="zstd")
 
 
 def load_pandas() -> Any:
@@ -133,25 +126,25 @@ def _contact_lists(table: RunTable) -> Any:
     return pa.ListArray.from_arrays(ends, values, mask=pa.array(~table.is_settled))
 
 
-def write_tar(path: Path, parts: Iterable[RunTable]) -> None:
+def write_tar(path: Path, table: RunTable) -> None:
     """Write grasps as samples in a tar file, KEY.json and KEY.npz, as WebDataset reads them.
 
     A sample is some thousand grasps. The arrays of KEY.npz are the columns of the table, each (n,),
     `base_to_object` (n, 7), and contacts in k slots each: `contact_links` (n, k) with places in `links` of
     KEY.json, -1 for none, `contact_points`, `contact_normals` (n, k, 3), `contact_forces` (n, k).
     """
+    arrays: dict[str, NDArray[np.generic]] = {POSE_COLUMN: table.base_to_object}
+    arrays |= {column.name: column.values for column in table.columns.values()}
+    arrays["contact_links"] = table.contacts.links.astype(np.int16) - 1
+    for name in ("points", "normals", "forces"):
+        arrays[f"contact_{name}"] = getattr(table.contacts, name).astype(np.float32)
+    words = msgspec.json.encode(table.about.values | table.same | {"links": table.scene.gripper.links})
     with tarfile.open(path, "w", format=tarfile.PAX_FORMAT) as tar:
-        for number, table in enumerate(parts):
-            arrays: dict[str, NDArray[np.generic]] = {POSE_COLUMN: table.base_to_object}
-            arrays |= {column.name: column.values for column in table.columns.values()}
-            arrays["contact_links"] = table.contacts.links.astype(np.int16) - 1
-            for name in ("points", "normals", "forces"):
-                arrays[f"contact_{name}"] = getattr(table.contacts, name).astype(np.float32)
-            packed = io.BytesIO()
-            np.savez_compressed(packed, allow_pickle=False, **arrays)
-            words = table.about.values | table.same | {"links": table.scene.gripper.links}
-            for suffix, payload in (("json", msgspec.json.encode(words)), ("npz", packed.getvalue())):
-                member = tarfile.TarInfo(f"{table['run'][0]}-{number:06}.{suffix}")
+        for first in range(0, len(table), SAMPLE_ROWS):
+            packed, part = io.BytesIO(), slice(first, first + SAMPLE_ROWS)
+            np.savez_compressed(packed, allow_pickle=False, **{k: v[part] for k, v in arrays.items()})
+            for suffix, payload in (("json", words), ("npz", packed.getvalue())):
+                member = tarfile.TarInfo(f"{table['run'][0]}-{first // SAMPLE_ROWS:06}.{suffix}")
                 member.size = len(payload)
                 tar.addfile(member, io.BytesIO(payload))
 

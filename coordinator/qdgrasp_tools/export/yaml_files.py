@@ -37,24 +37,22 @@ WXYZ = "w, then xyz = [x, y, z]"
 
 
 def to_yaml(values: Any) -> str:
-    """Return values as YAML, innermost lists in one line, texts of several lines as such."""
+    """Return values as YAML without aliases, innermost lists in one line."""
     import yaml
 
     class Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]  # chosen at run time
-        """Dumps texts of several lines as blocks, and writes no aliases."""
+        """Writes no aliases."""
 
         def ignore_aliases(self, data: Any) -> bool:
             return True
 
-    def text(dumper: Any, value: str) -> Any:
-        return dumper.represent_scalar("tag:yaml.org,2002:str", value, style="|" if "\n" in value else None)
-
-    Dumper.add_representer(str, text)
-    return str(
-        yaml.dump(
-            values, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=1 << 20, default_flow_style=None
-        )
-    )
+    options: dict[str, Any] = {
+        "sort_keys": False,
+        "allow_unicode": True,
+        "width": 1 << 20,
+        "default_flow_style": None,
+    }
+    return str(yaml.dump(values, Dumper=Dumper, **options))
 
 
 def _numbers(values: NDArray[np.floating]) -> list[Any]:

@@ -19,8 +19,7 @@ from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.export import dataset
-from qdgrasp_tools.export.dataset import export_dataset, parse_shares, split_of
-from qdgrasp_tools.export.exporter import FORMATS, run_folders
+from qdgrasp_tools.export.exporter import FORMATS, export_dataset, parse_shares, run_folders, split_of
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame
 
