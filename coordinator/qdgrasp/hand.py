@@ -81,7 +81,7 @@ class Hand:
         ImpossibleValue
             The joints are not j finite numbers.
         """
-        from qdgrasp_tools.export.grasp_pictures import hand_scene  # takes its time to load
+        from qdgrasp_tools.rendering.views import hand_scene  # takes its time to load
 
         try:
             values = self.opened if joints is None else np.asarray(joints, dtype=np.float64)

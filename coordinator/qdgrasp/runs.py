@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +22,6 @@ from qdgrasp_protocol.rows import Layout, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.campaign_folder import open_campaign
 from qdgrasp_tools.campaign.summaries import RunSummary, run_summary
-from qdgrasp_tools.export.frames import frame_of
 from qdgrasp_tools.export.grasp_reader import (
     GraspChoice,
     choose_grasps,
@@ -29,6 +29,7 @@ from qdgrasp_tools.export.grasp_reader import (
     select_grasps,
 )
 from qdgrasp_tools.export.grasp_set import Grasps
+from qdgrasp_tools.export.grasp_table import frame_of
 from qdgrasp_tools.export.tabular import SAMPLE_ROWS, arrow_table, load_pandas
 
 
@@ -122,12 +123,18 @@ class Run:
         ...     print(grasp.number, grasp.settled_position, grasp.settled_quaternion_xyzw, grasp.joints)
         """
         limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
-        found, ways = (
-            read_run(self._folder),
-            GraspChoice(approach_distance=approach_distance, resting_pose=resting_pose),
+        found = read_run(self._folder)
+        choice = GraspChoice(
+            min_fitness=min_fitness,
+            top=top,
+            diverse=diverse,
+            limits=limits,
+            holds_in=holds_in,
+            approach_distance=approach_distance,
+            resting_pose=resting_pose,
         )
-        check = ways.reachability(found.scene, found.spec)
-        return select_grasps(found, min_fitness, top, diverse, limits, holds_in, check)
+        check = choice.reachability(found.scene, found.spec)
+        return select_grasps(replace(found, approach=check), choice)
 
     def tables(self, *, min_fitness: int | None = None, frame: str = "mesh") -> Iterator[Any]:
         """Yield the grasps as tables of pyarrow, some thousands at a time.

@@ -190,8 +190,7 @@ def import_(
     Example: qdgrasp import grasps.yaml --gripper panda --object mug -o poses.npz
     """  # noqa: D205  # typer joins the lines
     from qdgrasp_tools.export.exporter import is_dataset  # takes its time to load
-    from qdgrasp_tools.export.frames import frame_of
-    from qdgrasp_tools.export.grasp_table import asset_name
+    from qdgrasp_tools.export.grasp_table import asset_name, frame_of
     from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame
 
     output = OutFile(out, force=force, inputs=(file, Path(gripper), Path(object_)))

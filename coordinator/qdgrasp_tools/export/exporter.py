@@ -24,7 +24,6 @@ from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ENGINES, ObjectRecord
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.export import jaw_files, tabular, yaml_files
-from qdgrasp_tools.export.frames import Frame, frame_of, object_mesh
 from qdgrasp_tools.export.grasp_reader import (
     ALL_FAILURES,
     ALL_GRASPS,
@@ -40,10 +39,13 @@ from qdgrasp_tools.export.grasp_reader import (
 from qdgrasp_tools.export.grasp_table import (
     FITNESS_MEANING,
     UNITS,
+    Frame,
     GraspMetadata,
     RunTable,
     asset_name,
     common_values,
+    frame_of,
+    object_mesh,
 )
 from qdgrasp_tools.export.yaml_files import to_yaml
 

@@ -1,6 +1,7 @@
 """Reads, chooses and describes grasps of a run, some thousands at a time."""
 
 import hashlib
+import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -14,7 +15,10 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.rotation import running_sum
+from qdgrasp_assets.geometry.rotation import Floats, multiply, running_sum
+from qdgrasp_assets.gripper_setup.draft import original_base
+from qdgrasp_assets.grippers.gripper_file import OriginalBase
+from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject, Vector, vector
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, taken_mask, takes_held
 from qdgrasp_coordinator.metrics.successes import (
@@ -31,11 +35,12 @@ from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import LIFT, Outcome
 from qdgrasp_protocol.spec import RunSpec, to_toml
 from qdgrasp_protocol.text import join_numbers
-from qdgrasp_tools.export.frames import COM, Frame, scene_original_base, squared_distances
 from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import (
+    COM,
     FITNESS_MEANING,
     LIFT_MEANING,
+    Frame,
     GraspMetadata,
     RestingPoseRecord,
     SourceRun,
@@ -82,14 +87,17 @@ ALL_FAILURES = -1  # So many failures as there are
 class GraspChoice:
     """Flags that say which grasps of a run are taken; see `select_grasps`."""
 
-    min_fitness: int | None = None
-    """None: by the protocol of each run (`taken_mask`)."""
+    min_fitness: float | None = None
+    """Disturbances survived in the nominal evaluation, at least; None: as of `taken_mask`."""
     min_quality: float = 0.0
     """Least confidence, 0 to 1."""
     top: int | None = None
+    """At most so many, the best first: by the lower bound of eta where known, fitness and margin."""
     diverse: int | None = None
+    """At most so many, each as far as can be from those before it (`spread_places`), the best first."""
     limits: GraspLimits = NO_LIMITS
     holds_in: str | None = None
+    """Those that hold in this engine too, by the run's table of it."""
     approach_distance: float | None = None
     """Distance from which hands come to their poses, touching nothing [m]; None: as in the run."""
     resting_pose: int | str | None = None
@@ -107,40 +115,29 @@ class GraspChoice:
 ALL_GRASPS = GraspChoice()
 
 
-def select_grasps(
-    grasps: Grasps,
-    min_fitness: float | None = None,
-    top: int | None = None,
-    diverse: int | None = None,
-    limits: GraspLimits = NO_LIMITS,
-    holds_in: str | None = None,
-    approach: "ReachabilityCheck | None" = None,
-) -> Grasps:
+def select_grasps(grasps: Grasps, choice: GraspChoice = ALL_GRASPS) -> Grasps:
     """Select grasps that are good and within limits, of these the best, of these spread ones.
 
-    `min_fitness` is the least number of disturbances survived in the nominal evaluation; 0 takes all
-    successes, None is as of `taken_mask`. `top` takes so many at most, best first (`best_first`: by the
-    lower bound of eta where eta is known, then by fitness and margin); `diverse` takes so many at most, each
-    as far as can be from those before it (`spread_places`), the best one first. Without both, grasps are in
-    journal order. `holds_in` takes those that hold in this engine, by the run's table of it, `approach` those
-    whose hands come to their poses. Raises ImpossibleValue for other numbers, UnknownName for another engine,
-    and InputError where there is no such table.
+    If the grasps have an `approach`, those are taken whose hands come to their poses. Without `top` and
+    `diverse` they are in journal order. Raises ImpossibleValue for other numbers, UnknownName for another
+    engine, and InputError where there is no table of it.
     """
-    for name, value in (("min_fitness", min_fitness), ("top", top), ("diverse", diverse)):
-        if value is not None:
+    for name in ("min_fitness", "top", "diverse"):
+        if (value := getattr(choice, name)) is not None:
             _check_number(name, value, whole=name != "min_fitness")
-    chosen = grasps[grasps.is_success & taken_mask(grasps.rows, grasps.spec, min_fitness)]
-    if holds_in is not None:
-        chosen = chosen[chosen.verdicts_in(holds_in) == Outcome.HELD]
-    chosen = chosen[limits.admitted(chosen.rows, chosen.scene)]
-    if approach is not None:
-        chosen = replace(chosen, approach=approach)
+    chosen = grasps[grasps.is_success & taken_mask(grasps.rows, grasps.spec, choice.min_fitness)]
+    if choice.holds_in is not None:
+        chosen = chosen[chosen.verdicts_in(choice.holds_in) == Outcome.HELD]
+    chosen = chosen[choice.limits.admitted(chosen.rows, chosen.scene)]
+    chosen = chosen[chosen.confidence >= choice.min_quality]
+    if chosen.approach is not None:
         chosen = chosen[chosen.reach.is_reachable]
-    if top is None and diverse is None:
+    if choice.top is None and choice.diverse is None:
         return chosen
     bounds = eta_bounds(chosen.eta, np.maximum(chosen.trials, 1))[0]
-    chosen = chosen[best_first(chosen.rows, chosen.scene.object, top or 1, bounds)[:top]]
-    return chosen if diverse is None else chosen[spread_places(chosen, diverse)]
+    best = best_first(chosen.rows, chosen.scene.object, choice.top or 1, bounds)
+    chosen = chosen[best[: choice.top]]
+    return chosen if choice.diverse is None else chosen[spread_places(chosen, choice.diverse)]
 
 
 def _check_number(name: str, value: object, *, whole: bool) -> None:
@@ -166,6 +163,24 @@ def spread_places(grasps: Grasps, most: int) -> NDArray[np.int64]:
         nearest = np.minimum(nearest, squared_distances(poses, poses[place], hand))
         nearest[place] = -1.0
     return np.array(chosen, dtype=np.int64)
+
+
+def squared_distances(poses: Floats, other: Floats, hand: SceneGripper) -> Floats:
+    """Return the squared distances (n,) [m2] of poses (n, 7) from another one (7,)."""
+    apart, cosine = poses[:, :3] - other[:3], _half_angle_cosines(poses[:, 3:], other[3:])
+    if hand.jaw:
+        half = np.array([*hand.approach_axis, 0.0])  # the quaternion of 180 degrees
+        cosine = np.maximum(
+            cosine, _half_angle_cosines(poses[:, 3:], multiply(other[None, 3:], half[None])[0])
+        )
+    x, y, z = apart.T
+    return np.asarray(x * x + y * y + z * z + 4.0 * hand.reach**2 * (1.0 - np.minimum(cosine, 1.0) ** 2))
+
+
+def _half_angle_cosines(quaternions: Floats, other: Floats) -> Floats:
+    """Cosine (n,) of half the angle between rotations (n, 4) and another one (4,)."""
+    x, y, z, w = quaternions.T
+    return np.asarray(np.abs(x * other[0] + y * other[1] + z * other[2] + w * other[3]))
 
 
 class ChosenGrasps(NamedTuple):
@@ -196,15 +211,11 @@ def choose_grasps(every: Grasps, choice: GraspChoice, failures: int = 0) -> Chos
     if least is None:
         least = every.spec.disturbances if takes_held(every.spec) else 1
     if choice.holds_in is not None:
-        known = select_grasps(every, choice.min_fitness).verdicts_in(choice.holds_in)
+        known = select_grasps(every, GraspChoice(choice.min_fitness)).verdicts_in(choice.holds_in)
         unknown = int((known < 0).sum())
     every = replace(every, approach=choice.reachability(every.scene, every.spec))
-    found = select_grasps(
-        every, choice.min_fitness, None, None, choice.limits, choice.holds_in, every.approach
-    )
-    found = found[found.confidence >= choice.min_quality]
+    found = select_grasps(every, choice)
     least = int(found.fitness.min(initial=least))  # a custom evaluator's grasps may hold with less
-    found = select_grasps(found, 0, choice.top, choice.diverse)
     places = np.searchsorted(every.numbers, found.numbers)
     others = np.setdiff1d(np.flatnonzero(~every.is_grasp), places) if failures else places[:0]
     if failures != ALL_FAILURES and failures < len(others):
@@ -281,6 +292,12 @@ def grasp_metadata(chosen: ChosenGrasps, frame: Frame, journal: Journal) -> Gras
         scene=journal.scene,
         runs=runs,
     )
+
+
+def scene_original_base(gripper: SceneGripper) -> OriginalBase | None:
+    """Return the base link of a hand's own URDF, where `--repair` added another; else None."""
+    element = ET.fromstring(gripper.urdf)  # noqa: S314  # a scene that was read and checked
+    return original_base(gripper.base_link, parse_robot(Path(gripper.name), element))
 
 
 def _resting_poses(check: "ReachabilityCheck", origin: Vector) -> tuple[RestingPoseRecord, ...]:

@@ -28,21 +28,19 @@ from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.rows import LIFT, NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import ENGINES, RunSpec, engine_names
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.export.frames import (
+from qdgrasp_tools.export.grasp_table import (
     COM,
+    LIFT_MEANING,
     MESH,
     Frame,
-    change_frame,
-    frame_of,
-    to_matrices,
-)
-from qdgrasp_tools.export.grasp_table import (
-    LIFT_MEANING,
     GraspColumn,
     GraspContacts,
     GraspMetadata,
     RunTable,
+    change_frame,
     common_values,
+    frame_of,
+    to_matrices,
 )
 
 if TYPE_CHECKING:  # scipy takes its time
@@ -122,15 +120,18 @@ class Grasp(NamedTuple):
         >>> grasp = next(iter(qdgrasp.open("runs/mug").grasps(top=1)))
         >>> grasp.scene().export("grasp.glb")
         """
-        from qdgrasp_tools.export.grasp_pictures import grasp_scene  # takes its time to load
+        from qdgrasp_tools.rendering.views import grasp_scene  # takes its time to load
 
         alone = self.arrays
         poses = alone.settled_poses(frame_of(frame)) if closed else alone.poses(frame_of(frame))
         joints = (self.joints if closed else self.pregrasp).astype(np.float64)
-        return grasp_scene(alone.scene, poses[0], joints, frame)
+        com = np.zeros(3) if frame == COM else alone.scene.object.com_in_mesh
+        made = grasp_scene(alone.scene, poses[0], joints, com)
+        made.metadata["frame"] = frame
+        return made
 
     def _repr_html_(self) -> str:
-        from qdgrasp_tools.export.grasp_pictures import grasp_card  # takes its time to load
+        from qdgrasp_tools.rendering.views import grasp_card  # takes its time to load
 
         grasps, row = self.grasps, self.arrays.rows[0]
         figures = [

@@ -2,22 +2,83 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import msgspec
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.geometry.mesh import Mesh
+from qdgrasp_assets.geometry.rotation import Floats, from_frame, multiply, rotate, tangents
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
-from qdgrasp_assets.scene import Scene
+from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
 from qdgrasp_coordinator.search.fixed_poses import FARTHEST
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import DEFAULT_ENGINE, ObjectRecord, RunSpec, from_toml
 from qdgrasp_protocol.text import join_numbers
-from qdgrasp_tools.export.frames import Frame, jaw_turn, to_matrices, turn_hand_axes
+
+Frame = Literal["mesh", "com"]
+MESH: Frame = "mesh"
+COM: Frame = "com"
+FRAMES: tuple[Frame, ...] = get_args(Frame)
+
+
+def frame_of(name: str) -> Frame:
+    """Return the object's frame of that name; raises UnknownName."""
+    for frame in FRAMES:
+        if frame == name:
+            return frame
+    raise UnknownName("frame", name, FRAMES)
+
+
+def change_frame(poses: Floats, com_in_mesh: ArrayLike, source: Frame, target: Frame) -> Floats:
+    """Move poses (n, 7), xyz [m] and xyzw, or points (n, 3), between frames of the object."""
+    found = poses.copy()
+    found[:, :3] += (FRAMES.index(source) - FRAMES.index(target)) * np.asarray(com_in_mesh)
+    return found
+
+
+def turn_hand_axes(poses: Floats, rotation: Floats) -> Floats:
+    """Turn the hand's own axes of poses (n, 7) by a quaternion (4,), xyzw."""
+    rotations = np.broadcast_to(rotation, (len(poses), 4))
+    return np.hstack([poses[:, :3], multiply(poses[:, 3:], rotations)])
+
+
+def to_matrices(poses: Floats) -> Floats:
+    """Convert poses (n, 7) to homogeneous matrices (n, 4, 4)."""
+    quaternions = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    matrices = np.zeros((len(poses), 4, 4))
+    for column, axis in enumerate(np.eye(3)):
+        matrices[:, :3, column] = rotate(quaternions, np.broadcast_to(axis, (len(poses), 3)))
+    matrices[:, :3, 3], matrices[:, 3, 3] = poses[:, :3], 1.0
+    return matrices
+
+
+def from_matrices(matrices: Floats) -> Floats:
+    """Convert homogeneous matrices to poses, the inverse of `to_matrices`, with w >= 0."""
+    x, y, z = np.moveaxis(matrices[:, :3, :3], 2, 0)
+    return np.hstack([matrices[:, :3, 3], from_frame(x, y, z)])
+
+
+def jaw_turn(gripper: SceneGripper) -> Floats:
+    """Rotation (4,), xyzw, from a hand's root link to axes with +z toward the object, x across.
+
+    x is the axis along which the two fingers of a jaw open; of a hand without a jaw it is the first of two
+    tangents to its approach axis (`rotation.tangents`), which is its own x if that axis is +z.
+    """
+    z = np.array([gripper.approach_axis])
+    x = np.array([gripper.jaw.axis]) if gripper.jaw else tangents(z)[0]
+    return np.asarray(from_frame(x, np.cross(z, x), z)[0])
+
+
+def object_mesh(body: SceneObject, frame: Frame) -> Mesh:
+    """Return the surface of a scene's object in one of its frames [m]."""
+    vertices = body.vertices.astype(np.float64) + (0.0 if frame == COM else np.array(body.com_in_mesh))
+    faces = np.frombuffer(body.mesh_faces, dtype="<u4").reshape(-1, 3).astype(np.int64)
+    return Mesh(vertices, faces)
+
 
 POSE_WORDS = (
     "the commanded pose goes with the joints before closing (pregrasp), the settled pose with those after it"
@@ -338,11 +399,6 @@ def check_table(path: Path, table: GraspTable) -> None:
     )
     if table.pregrasp is not None:
         _check_each(path, table.names, ~np.isinf(table.pregrasp).any(axis=1), "a joint of it is infinite")
-    for what, value in (("scale", table.scale), ("mass", table.mass), ("friction", table.friction)):
-        if value is not None and not 0 < value < np.inf:
-            raise UnreadableGrasps(
-                path, f"the object's {what} in it must be a number greater than 0, and is {value:g}"
-            )
 
 
 def check_positions(path: Path, names: NDArray[np.str_], poses: Floats) -> None:

@@ -25,13 +25,18 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import first_few
 from qdgrasp_tools.export import jaw_files, tabular, yaml_files
 from qdgrasp_tools.export.exporter import INDEX, is_dataset
-from qdgrasp_tools.export.frames import COM, MESH, Frame, change_frame, jaw_turn, turn_hand_axes
 from qdgrasp_tools.export.grasp_table import (
+    COM,
+    MESH,
+    Frame,
     GraspMetadata,
     GraspTable,
     UnreadableGrasps,
+    change_frame,
     check_positions,
     check_table,
+    jaw_turn,
+    turn_hand_axes,
 )
 
 

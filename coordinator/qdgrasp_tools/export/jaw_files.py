@@ -23,13 +23,14 @@ import msgspec
 import numpy as np
 
 from qdgrasp_assets.geometry.mesh import parts_to_obj
-from qdgrasp_tools.export.frames import from_matrices, object_mesh
 from qdgrasp_tools.export.grasp_table import (
     CONTACT_FIELDS,
     GraspMetadata,
     GraspTable,
     RunTable,
     check_matrices,
+    from_matrices,
+    object_mesh,
 )
 
 TRANSFORMS = "grasps/transforms"

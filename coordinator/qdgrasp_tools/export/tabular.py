@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.storage.tables import write_csv as write_rows
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_tools.export.frames import COM
 from qdgrasp_tools.export.grasp_table import (
+    COM,
     CONTACT_FIELDS,
     GraspMetadata,
     GraspTable,

@@ -1,5 +1,6 @@
 """Grasps that hands come to, above a table or not, and how files say so."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -45,7 +46,7 @@ def made(scene: Scene, tmp_path: Path) -> RunFolder:
 def reachable(run: RunFolder, distance: float | None = None, pose: int | str | None = None) -> Grasps:
     found = read_run(run)
     check = GraspChoice(approach_distance=distance, resting_pose=pose).reachability(found.scene, found.spec)
-    return select_grasps(found, approach=check)
+    return select_grasps(dataclasses.replace(found, approach=check))
 
 
 def test_hands_come_through_no_object_and_no_table(made: RunFolder) -> None:

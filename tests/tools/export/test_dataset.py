@@ -18,7 +18,7 @@ from qdgrasp_protocol.errors import FolderError, ImpossibleValue, OutputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_tools.cli.main import app
-from qdgrasp_tools.export import dataset
+from qdgrasp_tools.export import exporter
 from qdgrasp_tools.export.exporter import FORMATS, export_dataset, parse_shares, run_folders, split_of
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame
@@ -143,7 +143,7 @@ def test_the_head_of_the_card_names_the_tables_of_the_hub(runs, tmp_path: Path) 
 
 
 def test_meshes_are_copied_once_for_each_object_if_asked_for(runs, tmp_path) -> None:
-    export_dataset(runs, tmp_path / "out", "parquet", meshes=dataset.COPY)
+    export_dataset(runs, tmp_path / "out", "parquet", meshes=exporter.COPY)
     index = pandas.read_csv(tmp_path / "out" / "index.csv")
     assert {mesh.partition("-")[0] for mesh in index.mesh} == {f"meshes/{name}" for name in OBJECTS}
     assert len(list((tmp_path / "out" / "meshes").iterdir())) == 3
@@ -151,7 +151,7 @@ def test_meshes_are_copied_once_for_each_object_if_asked_for(runs, tmp_path) -> 
 
 def test_splits_by_hash_are_of_objects_and_near_the_shares() -> None:
     splits = [split_of(f"object {number}", parse_shares("80,10,10")) for number in range(2000)]
-    shares = [splits.count(name) / len(splits) for name in dataset.SPLIT_NAMES]
+    shares = [splits.count(name) / len(splits) for name in exporter.SPLIT_NAMES]
     np.testing.assert_allclose(shares, [0.8, 0.1, 0.1], atol=0.03)
     with pytest.raises(ImpossibleValue):
         parse_shares("80,-10")

@@ -1,5 +1,6 @@
 """Every format, by independent readers; and the metadata in its files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -16,10 +17,11 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import from_toml
-from qdgrasp_tools.export.exporter import FORMATS, ExportFormat, export_run
+from qdgrasp_tools.export import exporter
+from qdgrasp_tools.export.exporter import FORMATS, export_run
 from qdgrasp_tools.export.grasp_reader import NOT_SETTLED, GraspChoice, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
-from qdgrasp_tools.export.grasp_table import GraspMetadata
+from qdgrasp_tools.export.grasp_table import GraspMetadata, RunTable
 
 ACROSS = Rotation.from_euler("z", 90, degrees=True)
 """The jaw's own axes open along y; turned by this first, they open along x."""
@@ -127,10 +129,8 @@ class TestFormat:
         assert not any(read.contacts or ())
 
     def test_what_fails_on_the_way_leaves_what_was_there(self, run, tmp_path, monkeypatch, name) -> None:
-        whole = ExportFormat.write
-
-        def half(*arguments: object) -> None:
-            whole(*arguments)  # type: ignore[arg-type]
+        def half(path: Path, table: RunTable) -> None:
+            FORMATS[name].write(path, table)
             raise OSError(28, "No space left on device")
 
         for before in ({}, None):
@@ -138,7 +138,7 @@ class TestFormat:
                 export_run(run, tmp_path / "out", name)
                 before = files(tmp_path / "out")
             with monkeypatch.context() as patch:
-                patch.setattr(ExportFormat, "write", half)
+                patch.setattr(exporter, "format_of", lambda name: replace(FORMATS[name], write=half))
                 with pytest.raises(InputError, match="no space left on device"):
                     export_run(run, tmp_path / "out", name, GraspChoice(min_fitness=2), force=True)
             assert {path.name for path in tmp_path.iterdir()} == {"run", "out"} if before else {"run"}

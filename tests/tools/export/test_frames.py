@@ -7,14 +7,14 @@ from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
 from qdgrasp_assets.scene import Jaw, Scene
-from qdgrasp_tools.export.frames import (
+from qdgrasp_tools.export.grasp_reader import scene_original_base
+from qdgrasp_tools.export.grasp_table import (
     COM,
     FRAMES,
     MESH,
     change_frame,
     from_matrices,
     jaw_turn,
-    scene_original_base,
     to_matrices,
     turn_hand_axes,
 )

@@ -12,7 +12,7 @@ from tests.tools.export.conftest import COM, MakeRun
 from qdgrasp_coordinator.metrics import successes
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.export.grasp_reader import read_run, select_grasps, spread_places
+from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run, select_grasps, spread_places
 from qdgrasp_tools.export.grasp_set import Grasps
 
 
@@ -59,7 +59,7 @@ def grasps(make_run: MakeRun) -> Grasps:
 
 @pytest.mark.parametrize(("least", "expected"), [(0, 120), (1, 80), (2, 40)])
 def test_those_that_are_good_enough_are_taken_in_their_order(grasps, least, expected) -> None:
-    chosen = select_grasps(grasps, least)
+    chosen = select_grasps(grasps, GraspChoice(least))
     assert len(chosen) == expected
     assert (chosen.fitness >= least).all()
     assert chosen.is_success.all()
@@ -68,7 +68,7 @@ def test_those_that_are_good_enough_are_taken_in_their_order(grasps, least, expe
 
 def test_the_best_come_first(grasps: Grasps, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(successes, "recorded_margins", lambda rows, body: rows["penetration"])
-    chosen = select_grasps(grasps, top=50)
+    chosen = select_grasps(grasps, GraspChoice(top=50))
     robust = grasps[grasps.fitness == 2]
     assert len(chosen) == 50
     assert (chosen.fitness[:40] == 2).all()
@@ -79,7 +79,7 @@ def test_a_known_eta_goes_before_fitness(grasps: Grasps) -> None:
     etas = np.full(len(grasps), np.nan)
     weak = np.flatnonzero(grasps.fitness == 1)[:2]
     etas[weak] = (0.25, 0.75)
-    chosen = select_grasps(replace(grasps, eta=etas), top=3)
+    chosen = select_grasps(replace(grasps, eta=etas), GraspChoice(top=3))
     assert chosen.numbers[:2].tolist() == grasps.numbers[weak[::-1]].tolist()
     assert chosen.fitness[2] == 2
 
@@ -94,7 +94,7 @@ def test_each_spread_grasp_is_the_farthest_from_those_before_it(grasps: Grasps) 
 
 
 def test_of_the_best_the_spread_ones_are_taken(grasps: Grasps) -> None:
-    chosen = select_grasps(grasps, top=40, diverse=10)
+    chosen = select_grasps(grasps, GraspChoice(top=40, diverse=10))
     assert len(chosen) == 10
     assert (chosen.fitness == 2).all()
 
