@@ -1,4 +1,4 @@
-"""Exports grasps: of a run to a file; of runs and campaigns to a data set with index and card."""
+"""Exports grasps: of a run to a file, of runs and campaigns to a data set with a card."""
 
 import hashlib
 from collections import Counter

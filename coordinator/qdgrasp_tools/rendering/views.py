@@ -341,9 +341,9 @@ def grasp_card(scene: Scene, rows: Rows, title: str, figures: Iterable[tuple[str
 
 
 def grasp_scene(scene: Scene, pose: Poses, joints: Poses, com: ArrayLike) -> trimesh.Scene:
-    """Return object and hand, its root link at a pose (7,) in a frame with the object's `com` (3,) [m].
+    """Return object and hand, its root link at a pose (7,) [m, xyzw], as a scene of trimesh.
 
-    The nodes are `object`, and those of `hand_scene`.
+    `com` (3,) [m] is the object's centre of mass. The nodes are `object`, and those of `hand_scene`.
     """
     made = hand_scene(scene.gripper, pose, joints)
     middle = np.eye(4)
