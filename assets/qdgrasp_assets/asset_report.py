@@ -4,24 +4,27 @@ An object's report comes from its mesh file, a gripper's from its TOML file and 
 file that would be guessed for it. All faults are listed in the report, in words.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 from msgspec import Struct
 
+from qdgrasp_assets import catalog, ycb
+from qdgrasp_assets.asset_paths import NOT_THERE, named_path, path_problem, searched
 from qdgrasp_assets.geometry.collision_parts import (
     FingerClearance,
     Tell,
     collision_parts,
     ignore_progress,
+    known_parts,
 )
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import scale_in_words
-from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes
+from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes, surface_faults
 from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import POINTS_PER_METRE
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper
@@ -33,10 +36,11 @@ from qdgrasp_assets.grippers.hand_model import guess_base, read_hand_model
 from qdgrasp_assets.grippers.mjcf import is_mjcf, read_mjcf
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element
 from qdgrasp_assets.grippers.urdf_checks import mesh_faults, motion_faults, structure_faults, weight_faults
-from qdgrasp_assets.object_model import ObjectDraft
+from qdgrasp_assets.object_model import ObjectDraft, read_draft
 from qdgrasp_assets.scene import Vector, vector
-from qdgrasp_assets.ycb import lengths_in_words
-from qdgrasp_protocol.errors import AssetError, QdgraspError
+from qdgrasp_assets.stand_ins import STAND_INS, stand_in
+from qdgrasp_assets.ycb import SCANS, lengths_in_words, scan_differences
+from qdgrasp_protocol.errors import AssetError, QdgraspError, UnknownName
 from qdgrasp_protocol.text import counted
 
 
@@ -413,3 +417,82 @@ def _hollow_notes(hand: Urdf) -> Iterator[str]:
             f"much of the surface of {hollow}: "
             "`qdgrasp gripper new --repair` splits such meshes into convex parts"
         )
+
+
+@dataclass(frozen=True)
+class AssetSummary:
+    """Result of the check of one asset."""
+
+    name: str
+    facts: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+
+
+def check(name: str) -> AssetSummary:
+    """Check a gripper or object by name or file; `UnknownName` if it is neither."""
+    try:
+        return _check(name)
+    except UnknownName:
+        raise
+    except QdgraspError as error:
+        return AssetSummary(name, faults=(str(error),))
+
+
+def is_gripper(name: str) -> bool:
+    """Return whether a name or file means a gripper rather than an object."""
+    return name.endswith(".toml") or name in {listing.name for listing in catalog.every_gripper()}
+
+
+def _check(name: str) -> AssetSummary:
+    if name in STAND_INS:
+        target = stand_in(name)
+        return _mesh_summary(name, target.mesh, (f"{target.mass:g} kg",))
+    if name in SCANS:
+        return _check_scan(name)
+    if is_gripper(name):
+        found = examine_gripper(name)
+        return AssetSummary(name, found.facts, found.faults)
+    if path_problem(named_path(name)) != NOT_THERE:
+        draft = read_draft(named_path(name))
+        report = inspect_object(draft, name, glued=True, parts=False)
+        hulls = () if report.faults else (_known_hulls(draft.mesh),)
+        return AssetSummary(name, report.facts + hulls, report.faults)
+    known = [listing.name for listing in (*catalog.every_gripper(), *catalog.every_object())]
+    raise UnknownName("asset", name, known, "Or name a mesh file, or a gripper's TOML file.")
+
+
+def _check_scan(name: str) -> AssetSummary:
+    scan, source = SCANS[name], ycb.scan_source(name)
+    if source == catalog.ABSENT:
+        fault = f"it is absent ({searched()}); `qdgrasp asset fetch {name}` fetches it"
+        return AssetSummary(name, faults=(fault,))
+    mesh = ycb.read_scan(name, "paper").mesh if source == "asset path" else ycb.read_fetched(name)
+    return _mesh_summary(name, mesh, (_known_hulls(mesh),), scan_differences(mesh, scan))
+
+
+def _mesh_summary(name: str, mesh: Mesh, facts: Iterable[str], faults: Iterable[str] = ()) -> AssetSummary:
+    size = f"{lengths_in_words(mesh.extents)} m", counted(len(mesh.faces), "triangle")
+    volume = f"{mesh.volume * 1e6:.2f} cm3"
+    return AssetSummary(name, (*size, volume, *facts), (*surface_faults(mesh), *faults))
+
+
+def _known_hulls(mesh: Mesh) -> str:
+    if known := known_parts(mesh):
+        return counted(len(known[1]), "convex part")
+    return "convex parts not found yet: CoACD will, at first use"
+
+
+def examine_gripper(name: str) -> GripperReport:
+    """Examine a gripper of the catalog, or a gripper's file; `UnknownName` if it is neither.
+
+    A reference hand is as its authors published it, with limits that have a meaning of their own: faults of
+    other hands are only notes for it.
+    """
+    found = examine(catalog.gripper_path(name), name)
+    if not found.faults or not name.startswith(catalog.REFERENCE):
+        return found
+    try:
+        catalog.find_gripper(name)
+    except QdgraspError:
+        return found
+    return msgspec.structs.replace(found, notes=found.faults, faults=())

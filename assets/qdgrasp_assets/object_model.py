@@ -92,7 +92,7 @@ def read_draft(
         repairs += (*changes, *after)
     if not len(mesh.faces):
         raise AssetError(f"The mesh '{path}' has no triangle with an area; draw it again.")
-    return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh, filled=fill_holes))
+    return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh))
 
 
 def solid_draft(

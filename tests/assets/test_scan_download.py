@@ -8,7 +8,7 @@ import trimesh
 from tests.assets.file_server import claims, cut, fails, served
 
 from qdgrasp_assets import asset_paths, ycb
-from qdgrasp_assets.asset_check import check
+from qdgrasp_assets.asset_report import check
 from qdgrasp_assets.geometry import collision_parts
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.object_model import read_solid

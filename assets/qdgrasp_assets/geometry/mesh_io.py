@@ -91,9 +91,6 @@ FORMAT_PACKAGES = {
 }
 """Packages that trimesh needs for a format, which users install themselves."""
 WRITABLE_FORMATS = (".stl", ".obj", ".ply", ".off", ".glb")  # Formats that are written
-FARTHEST = 1e9  # Farthest coordinate of a vertex [units of the file]
-MOST_READ = 10_000_000  # Most triangles of all parts together
-MOST_PARTS = 10_000  # Most parts of a scene
 LARGEST_FILE = 1 << 30  # Largest file [bytes]; 500 000 triangles, the most allowed, have 140 MB as text STL
 
 
@@ -122,18 +119,6 @@ def read_mesh_file(path: Path) -> FileMesh:
         raise AssetError(
             f"The mesh '{path}' has vertices that are not finite (nan or inf); export it again from the "
             "program that drew it."
-        )
-    if any(len(found.vertices) and np.abs(found.vertices).max() > FARTHEST for found in geometries):
-        raise AssetError(
-            f"The mesh '{path}' has vertices farther than {FARTHEST:g} units from its origin, which no "
-            "object has; export it again from the program that drew it."
-        )
-    placed = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-    copies = sum(len(found.faces) for found in placed if hasattr(found, "faces"))
-    if copies > MOST_READ:
-        raise AssetError(
-            f"The mesh '{path}' repeats its parts to {copies} triangles, and at most {MOST_READ} are read; "
-            "join them in the program that made it."
         )
     for found in geometries:
         found.process()  # merges coincident vertices, and would leave those out that are not finite

@@ -26,11 +26,8 @@ MOST_TRIANGLES = 500_000
 Numbers = NDArray[np.int64]
 
 
-def surface_faults(mesh: Mesh, *, filled: bool = False) -> tuple[str, ...]:
-    """Return all faults of a mesh as a surface in metres; empty if it has no fault.
-
-    `filled`: small holes were to be filled, and it is said why those that are left were not.
-    """
+def surface_faults(mesh: Mesh) -> tuple[str, ...]:
+    """Return all faults of a mesh as a surface in metres; empty if it has no fault."""
     if not np.isfinite(mesh.vertices).all():
         return ("it has vertices that are not finite",)
     if len(mesh.faces) > MOST_TRIANGLES:
@@ -38,7 +35,7 @@ def surface_faults(mesh: Mesh, *, filled: bool = False) -> tuple[str, ...]:
             f"it has {len(mesh.faces)} triangles, and at most {MOST_TRIANGLES} are taken; "
             "simplify it, for example with --mesh simplify=20000",
         )
-    return tuple(_surface_faults(mesh, MeshEdges(mesh), filled=filled))
+    return tuple(_surface_faults(mesh, MeshEdges(mesh)))
 
 
 @dataclass(frozen=True)
@@ -130,7 +127,7 @@ def point_in_words(point: Floats) -> str:
     return "(" + ", ".join(f"{number:.4f}" for number in point) + ")"
 
 
-def _surface_faults(mesh: Mesh, edges: MeshEdges, *, filled: bool) -> Iterator[str]:
+def _surface_faults(mesh: Mesh, edges: MeshEdges) -> Iterator[str]:
     largest = float(mesh.extents.max())
     if not SMALLEST_OBJECT <= largest <= LARGEST_OBJECT:
         size = " x ".join(f"{side:.4g}" for side in mesh.extents)
@@ -139,12 +136,12 @@ def _surface_faults(mesh: Mesh, edges: MeshEdges, *, filled: bool) -> Iterator[s
     odd = np.flatnonzero(edges.triangle_counts % 2)
     if len(edges.open_edges):
         widest, count = edges.holes[0], len(edges.holes)
-        fill = "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`, or "
         yield (
             f"it is not closed (watertight): {len(edges.open_edges)} edges have only one triangle, around "
             f"{'1 hole' if count == 1 else f'{count} holes, the largest'} {edges_width(mesh, widest):.4f} m "
-            f"wide at {point_in_words(edges_middle(mesh, widest))}; {_unfilled_words(mesh) if filled else ''}"
-            f"close it in the program that drew it, or {'' if filled else fill}take --mesh remesh or hull"
+            f"wide at {point_in_words(edges_middle(mesh, widest))}; close it in the program that drew it, or "
+            "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`, or "
+            "take --mesh remesh or hull"
         )
     elif len(odd):
         where = point_in_words(edges_middle(mesh, edges.directed[edges.edge_numbers == odd[0]]))
@@ -262,7 +259,8 @@ def inverted_bodies(mesh: Mesh) -> NDArray[np.bool_]:
 
 def fill_small_holes(mesh: Mesh) -> tuple[Mesh, str]:
     """Close small holes with a fan of triangles around the middle of their rim."""
-    rims = [hole for hole in MeshEdges(mesh).holes if _is_small(mesh, hole) and _is_ring(hole)]
+    widest = SMALL_HOLE * mesh.extents.max()
+    rims = [hole for hole in MeshEdges(mesh).holes if edges_width(mesh, hole) <= widest and _is_ring(hole)]
     if not rims:
         return mesh, ""
     vertices, faces = [mesh.vertices], [mesh.faces]
@@ -275,27 +273,9 @@ def fill_small_holes(mesh: Mesh) -> tuple[Mesh, str]:
     return Mesh(np.concatenate(vertices), np.concatenate(faces)), f"{len(rims)} holes filled, {widest}"
 
 
-def _is_small(mesh: Mesh, hole: Numbers) -> bool:
-    """Return whether a hole, by the edges (k, 2) of its rim, is one that is filled on request."""
-    return bool(edges_width(mesh, hole) <= SMALL_HOLE * mesh.extents.max())
-
-
 def _is_ring(hole: Numbers) -> bool:
     """Return whether the rim of a hole (k, 2) visits each of its vertices once."""
     return np.array_equal(np.unique(hole[:, 0]), np.sort(hole[:, 1]))
-
-
-def _unfilled_words(mesh: Mesh) -> str:
-    """Say why holes that were to be filled were not."""
-    holes = MeshEdges(mesh).holes
-    wide = sum(not _is_small(mesh, hole) for hole in holes)
-    limit = SMALL_HOLE * mesh.extents.max()
-    reasons = {
-        f"wider than {limit:.4f} m, a fifth of the largest side, up to which holes are filled": wide,
-        "small, and not filled because the rim meets itself in a vertex": len(holes) - wide,
-    }
-    said = (f"{n} of them {'is' if n == 1 else 'are'} {why}; " for why, n in reasons.items() if n)
-    return "".join(said)
 
 
 MEETING = 1e-3  # Bodies with no larger distance than this belong together [m]

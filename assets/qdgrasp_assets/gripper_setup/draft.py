@@ -4,7 +4,6 @@ import json
 import textwrap
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -277,10 +276,7 @@ def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTabl
     return table, "; ".join(notes)
 
 
-NEARER = 0.9  # Fingertips that keep more than this share of their distances as the hand closes do not close
 SHORT_FINGER = 0.35  # A finger is short beside the longest if it has at most this share of its length
-EARLY = 0.05  # Fingers meet early before this share of the ranges of their joints
-WARNING_COURSE = np.linspace(0.0, 1.0, 9)  # Shares of the way at which fingertips are compared
 
 
 def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> Iterator[str]:
@@ -290,8 +286,6 @@ def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> It
     """
     yield from _finger_warnings(closing)
     yield from _spread_warnings(closing, axis)
-    yield from _distance_warnings(closing)
-    yield from _early_warnings(closing)
     if against := ", ".join(contradicted_limits(closing.body.robot)):
         yield f"limits that mostly forbid what <mimic> asks: {against}; --repair takes those of the <mimic>"
     if "approach_axis" not in told and np.abs(axis).max() < 1 - 1e-9:
@@ -336,35 +330,6 @@ def _spread_warnings(closing: ClosingMotion, axis: Floats) -> Iterator[str]:
                     f"the joint '{name}' closes by turning about the approach axis, as joints do that spread "
                     f"fingers: if it does not close the hand, say --not-closing {name}"
                 )
-
-
-def _distance_warnings(closing: ClosingMotion) -> Iterator[str]:
-    if len(closing.fingers) < 2 or not closing.closed:
-        return
-    distances = [
-        float(np.mean([np.linalg.norm(one - other) for one, other in combinations(closing.tips(share), 2)]))
-        for share in WARNING_COURSE
-    ]
-    if min(distances) > NEARER * distances[0]:
-        yield (
-            f"the fingertips come hardly nearer to each other as the hand closes, {1000 * distances[0]:.0f} "
-            f"mm apart when open and {1000 * min(distances):.0f} mm at their nearest: say which joints do "
-            "not close with --not-closing JOINT, or where they close to with --closed JOINT=POSITION"
-        )
-
-
-def _early_warnings(closing: ClosingMotion) -> Iterator[str]:
-    early = [
-        name
-        for name in closing.stopped
-        if abs(closing.closed[name] - closing.opened[name]) < EARLY * np.ptp(closing.body.range(name))
-    ]
-    if early:
-        more = f" (and {counted(len(early) - 1, 'other joint')} as early)" if len(early) > 1 else ""
-        yield (
-            f"the joint '{early[0]}' {closing.stopped[early[0]]}{more}: if it begins elsewhere, say where "
-            f"with --open {early[0]}=POSITION; if it must go on, with --closed {early[0]}=POSITION"
-        )
 
 
 LINE_WIDTH = 108

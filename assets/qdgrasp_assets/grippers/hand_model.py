@@ -19,6 +19,7 @@ import numpy as np
 
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.grippers.collision_shapes import link_convex_parts, shapes
+from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 from qdgrasp_protocol.errors import AssetError
 
@@ -219,15 +220,12 @@ class HandModel:
         return pieces
 
     @cached_property
-    def _joined_pieces(self) -> frozenset[frozenset[str]]:
-        """Pairs of rigid pieces that a joint moves against each other."""
-        ends = ((joint.parent, joint.child) for joint in self.robot.joints if joint.moves)
-        return frozenset(frozenset(self.rigid_piece[link] for link in pair) for pair in ends)
+    def _neighbours(self) -> set[tuple[str, str]]:
+        return neighbours(self.robot)
 
     def are_neighbours(self, one: str, other: str) -> bool:
         """Return whether two links are of one rigid piece, or of two that a joint connects."""
-        pair = {self.rigid_piece[one], self.rigid_piece[other]}
-        return len(pair) == 1 or pair in self._joined_pieces
+        return one == other or (min(one, other), max(one, other)) in self._neighbours
 
     def parts_at(
         self, posture: Mapping[str, float], links: Iterable[str] | None = None

@@ -161,19 +161,11 @@ class _Translation:
             yield f"no actuator moves {first_few(quoted(idle), MOST_NAMED)}: each gets a motor of its own"
         if counts["looks"]:
             yield "no shape of the file collides, so that the visual ones were taken"
-        if counts["round"]:
-            yield f"{counted(counts['round'], 'capsule or ellipsoid', 'capsules and ellipsoids')} made meshes"
-        if counts["world"]:
-            yield "the shapes of the world (floor, table) left out"
-        if counts["endless"]:
-            yield f"{counted(counts['endless'], 'plane or height field')} left out, which no hand has"
         if counts["chain"]:
             yield (
                 f"{counted(counts['chain'], 'link')} of {CHAIN_MASS * 1e3:g} g added, between the joints of "
                 "bodies that have more than one"
             )
-        if counts["free"]:
-            yield "what hangs on a free joint was fixed to the world, as the hand is moved by its base link"
 
     def _add_body(self, body: int) -> ET.Element:
         """Add a body's joints and links to the robot; return the last link, which is its own."""
@@ -205,9 +197,7 @@ class _Translation:
         return self._add_inertia(name, model.body_mass[body], model.body_inertia[body], inertial)
 
     def _is_kept(self, joint: int) -> bool:
-        is_free = self._joint_kind(joint) == self._mujoco.mjtJoint.mjJNT_FREE
-        self._counts["free"] += is_free
-        return not is_free
+        return bool(self._joint_kind(joint) != self._mujoco.mjtJoint.mjJNT_FREE)
 
     def _joint_kind(self, number: int) -> Any:
         return self._mujoco.mjtJoint(self._model.jnt_type[number])
@@ -264,8 +254,6 @@ class _Translation:
         meets[[*model.pair_geom1, *model.pair_geom2]] = True
         on_body = np.isin(model.geom_bodyid, self._bodies[1:])
         collide, looks = meets & on_body & ~endless, ~meets & on_body & ~endless
-        self._counts["world"] = (meets & (model.geom_bodyid == 0)).any()
-        self._counts["endless"] = (endless & on_body).sum()
         self._counts["looks"] = looks.any() and not collide.any()
         return list(np.flatnonzero(collide if collide.any() else looks))
 
@@ -285,7 +273,6 @@ class _Translation:
             case kinds.mjGEOM_CAPSULE | kinds.mjGEOM_ELLIPSOID as kind:
                 name = f"{link.get('name')}_{'capsule' if kind == kinds.mjGEOM_CAPSULE else 'ellipsoid'}"
                 ET.SubElement(geometry, "mesh", filename=self._file(name, _round_solid(kind, size)))
-                self._counts["round"] += 1
             case _:
                 number = int(model.geom_dataid[geom])
                 if number not in self._mesh_files:

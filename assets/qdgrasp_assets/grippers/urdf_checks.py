@@ -190,31 +190,17 @@ def unweighed(element: ET.Element) -> frozenset[str]:
 
 def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
     inertials, masses = _inertials(element), _masses(element)
-    stated = {name: inertial for name, inertial in inertials.items() if inertial is not None}
-    lacking = [
-        name for name, each in stated.items() if each.find("mass") is None or each.find("inertia") is None
-    ]
     # A joint without mass beyond it stands still in Bullet, with any motor; a frame of mass 0 that is fixed
     # to a link with a mass moves with it.
     pieces = _pieces(element)
     heavy = {pieces[name] for name, mass in masses.items() if mass != 0}
     yield (
-        [name for name, inertial in inertials.items() if inertial is None],
-        "without <inertial>, for which the simulator would take 1 kg: give a mass and an "
-        f"inertia, {MEND_ADVICE}",
-    )
-    yield (
-        lacking,
-        "with an <inertial> that lacks <mass> or <inertia>, which the simulator refuses: "
-        f"give both, {MEND_ADVICE}",
-    )
-    yield (
-        [name for name in stated if name not in lacking and masses[name] is None],
-        f"of a mass that is no number: give it in kg, {MEND_ADVICE}",
-    )
-    yield (
-        [name for name, mass in masses.items() if mass is not None and mass < 0],
-        f"of a negative mass: give it in kg, {MEND_ADVICE}",
+        [
+            name
+            for name, each in inertials.items()
+            if each is None or each.find("inertia") is None or (mass := masses[name]) is None or mass < 0
+        ],
+        f"without a mass and an inertia that can be: give both, the mass in kg, {MEND_ADVICE}",
     )
     yield (
         [name for name in masses if pieces[name] not in heavy],
@@ -252,7 +238,6 @@ SIZE_ATTRIBUTES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere":
 SIZE_COUNTS = {"box": 3, "cylinder": 2, "sphere": 1}  # Number of values in each of these sizes
 PACKAGE = "package://"
 SIMULATOR_FORMATS = (".stl", ".obj", ".dae")  # Mesh files that the simulator reads
-MOST_MESHES_NAMED = 3  # Most meshes of a kind that are named
 
 
 def mesh_faults(hand: Urdf) -> tuple[str, ...]:
@@ -260,20 +245,7 @@ def mesh_faults(hand: Urdf) -> tuple[str, ...]:
     if missing := missing_meshes(hand):
         return missing
     faults = (_shape_fault(hand, link, shape) for link, shape in collision_elements(hand))
-    return (*_kind_faults(hand), *(fault for fault in faults if fault))
-
-
-def _kind_faults(hand: Urdf) -> Iterator[str]:
-    kinds: dict[str, list[str]] = {}
-    for name in _references(hand):
-        kinds.setdefault(_suffix(name), []).append(name)
-    for kind in sorted(kinds.keys() - SIMULATOR_FORMATS):
-        them, is_one = first_few(quoted(kinds[kind]), MOST_MESHES_NAMED), len(kinds[kind]) == 1
-        which = f"the mesh {them} is a" if is_one else f"the meshes {them} are"
-        yield (
-            f"{which} {kind or 'nondescript'} file{'' if is_one else 's'}, and the simulator reads "
-            f"{', '.join(SIMULATOR_FORMATS)}: save {'it as one' if is_one else 'them so'}, or use --repair"
-        )
+    return tuple(fault for fault in faults if fault)
 
 
 def _suffix(name: str) -> str:
@@ -342,7 +314,10 @@ def _shape_fault(hand: Urdf, link: str, shape: ET.Element) -> str:
 def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
     mesh = f"the mesh '{name}' of the link '{link}'"
     if _suffix(name) not in SIMULATOR_FORMATS:
-        return ""  # `_kind_faults` lists all such meshes at once
+        return (
+            f"{mesh} is a {_suffix(name) or 'nondescript'} file, and the simulator reads "
+            f"{', '.join(SIMULATOR_FORMATS)}: save it as one, or use --repair"
+        )
     if _suffix(name) == ".stl" and stl_triangles(mesh_bytes(hand, name)) is None:
         return f"{mesh} is no binary STL file, which alone the simulator reads: save it so, or use --repair"
     try:

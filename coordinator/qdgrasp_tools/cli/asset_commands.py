@@ -15,9 +15,8 @@ from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
 from qdgrasp_assets import catalog, ycb
-from qdgrasp_assets.asset_check import AssetSummary, is_gripper
-from qdgrasp_assets.asset_check import check as check_asset
-from qdgrasp_assets.asset_report import AssetReport
+from qdgrasp_assets.asset_report import AssetReport, AssetSummary, is_gripper
+from qdgrasp_assets.asset_report import check as check_asset
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.object_shape import is_in_catalog

@@ -10,8 +10,7 @@ from typing import Annotated
 
 import typer
 
-from qdgrasp_assets.asset_check import examine_gripper
-from qdgrasp_assets.asset_report import examine_draft, examine_urdf, hand_faults, read_hand
+from qdgrasp_assets.asset_report import examine_draft, examine_gripper, examine_urdf, hand_faults, read_hand
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf

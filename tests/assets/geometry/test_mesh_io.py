@@ -60,11 +60,6 @@ def test_a_file_that_is_no_mesh_is_refused(tmp_path, monkeypatch, name, content,
     assert "\n" not in str(refused.value)
 
 
-def test_a_folder_is_told_from_a_file(tmp_path):
-    with pytest.raises(AssetError, match=r"is a folder, .* `qdgrasp campaign --objects .*` takes every mesh"):
-        read_mesh_file(tmp_path)
-
-
 @pytest.mark.parametrize(("unit", "flag"), [("millimeter", "--units mm"), ("0.1 * meters", "--units 0.1")])
 def test_a_unit_that_the_file_states_is_to_be_said(tmp_path, monkeypatch, unit, flag):
     """As 3MF and Collada do, which need packages of their own."""

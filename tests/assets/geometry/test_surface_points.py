@@ -27,14 +27,6 @@ RELEASED = {
 }
 
 
-def test_points_lie_on_the_triangle_they_were_drawn_from():
-    mesh = stand_in("mug").mesh
-    points, drawn = sample_surface(mesh, 500, seed=3)
-    weights = trimesh.triangles.points_to_barycentric(mesh.corners[drawn], points)
-    assert weights.min() > -1e-6
-    assert np.einsum("nk,nkc->nc", weights, mesh.corners[drawn]) == pytest.approx(points, abs=1e-9)
-
-
 def test_points_are_uniform_by_area():
     block = box((0.1, 0.2, 0.4))
     n = 20_000
@@ -75,14 +67,3 @@ def test_released_reproduces_the_tabled_boxes_and_numbers_of_points(asset_path, 
     assert surface.finder_high == pytest.approx(high, abs=1e-4)
     assert len(surface.points) == points
     assert np.linalg.norm(surface.normals, axis=1) == pytest.approx(np.ones(points), abs=1e-6)
-
-
-def test_released_normals_stray_as_far_as_the_table_says(asset_path):
-    """Measured on the authors' code: share of the mug's normals more than 45 and 90 deg off."""
-    target = read_scan("ycb_mug", "released")
-    mesh, parts = target.centred_mesh, target.centred_parts
-    surface = released_surface(mesh, parts, target.com_in_mesh, seed=0)
-    _, drawn = sample_surface(mesh, len(surface.points), seed=0)
-    cosine = np.sum(surface.normals * mesh.normals[drawn], axis=1)
-    assert (cosine < np.cos(np.pi / 4)).mean() == pytest.approx(0.231, abs=0.04)
-    assert (cosine < 0).mean() == pytest.approx(0.132, abs=0.03)

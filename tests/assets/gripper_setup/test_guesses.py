@@ -1,6 +1,5 @@
 """Guesses of hands that are easily guessed wrong: synthetic ones, and public ones where they are at hand."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 from tests.assets import synthetic_hands
 
 from qdgrasp_assets.asset_report import examine_hand
-from qdgrasp_assets.gripper_setup.closing_search import find_closing
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, depth_at
 from qdgrasp_assets.grippers.hand_model import read_hand_model
@@ -99,48 +97,3 @@ def test_fingers_are_told_by_their_first_links(guess):
         *(f"one_{part}" for part in ("root", "low", "mid", "end")),
         *(f"thumb_{part}" for part in ("root", "low", "end")),
     }
-
-
-PUBLIC = "QDGRASP_PUBLIC_HANDS"
-"""Environment variable that names the folder `robots/hands` of dex-urdf."""
-HANDS = {
-    "leap_hand/leap_hand_right": ("palm_lower", (0, 0, -1), 4, {"0", "4", "8", "12", "13"}),
-    "dclaw_gripper/dclaw_gripper": ("base_link", (1, 0, 0), 3, {f"joint_f{n}_0" for n in (1, 2, 3)}),
-    "inspire_hand/inspire_hand_right": ("hand_base_link", (-1, 0, 0), 5, {"thumb_proximal_yaw_joint"}),
-    "ability_hand/ability_hand_right": ("base", (0, 1, 0), 5, {"thumb_q1"}),
-    "schunk_hand/schunk_svh_hand_right": (
-        "right_hand_base_link",
-        (0, 1, 0),
-        5,
-        {"right_hand_Thumb_Opposition", "right_hand_Finger_Spread"},
-    ),
-    "allegro_hand/allegro_hand_right": (
-        "base_link",
-        (1, 0, 0),
-        4,
-        {"joint_0.0", "joint_4.0", "joint_8.0", "joint_12.0", "joint_13.0"},
-    ),
-    "shadow_hand/shadow_hand_right": (
-        "palm",
-        (0, -1, 0),
-        5,
-        {"FFJ4", "MFJ4", "RFJ4", "LFJ4", "LFJ5", "THJ5", "THJ4", "THJ3"},
-    ),
-    "barrett_hand/bhand_model": ("base_link", (0, 0, 1), 3, {"finger_1_prox_joint", "finger_2_prox_joint"}),
-}
-"""URDF, base link, approach axis, number of fingers, and all joints that lead and do not close."""
-
-
-@pytest.mark.parametrize("name", HANDS)
-def test_a_public_hand_is_guessed_right_without_a_flag(name):
-    folder = os.environ.get(PUBLIC)
-    urdf = Path(folder or "", f"{name}.urdf")
-    if folder is None or not urdf.is_file():
-        pytest.skip(f"{PUBLIC} names no folder with {name}.urdf")
-    base, axis, fingers, still = HANDS[name]
-    found = Guess(urdf)
-    assert (found.file.base_link, found.file.approach_axis) == (base, axis)
-    closing = find_closing(found.postures.body)
-    assert len(closing.fingers) == fingers
-    assert set(closing.opened) - closing.closed.keys() == still
-    assert not [note for note in found.found.notes if "through each other" in note]

@@ -61,19 +61,3 @@ def test_an_obj_has_a_part_for_each_group_with_the_corners_of_its_triangles(word
     one, two = obj_group_corners(TWO.format(word))
     np.testing.assert_array_equal(one, TETRAHEDRON)
     np.testing.assert_array_equal(two, [(0, 0, 0), (1, 0, 0), (5, 5, 5)])
-
-
-ARM = """<robot name="arm">
-<link name="palm"><collision><geometry><box size="0.1 0.02 0.02"/></geometry></collision></link>
-<joint name="turn" type="revolute"><parent link="palm"/><child link="tip"/>
-<origin xyz="0.1 0 0" rpy="0 0 1.5707963267948966"/><axis xyz="1 0 0"/><limit lower="0" upper="1" effort="1" velocity="1"/>
-</joint>
-<link name="tip"><collision><origin xyz="0.1 0 0" rpy="0 1.5707963267948966 0"/>
-<geometry><cylinder radius="0.01" length="0.2"/></geometry></collision>
-<collision><origin xyz="0.2 0 0"/><geometry><sphere radius="0.05"/></geometry></collision></link>
-</robot>"""  # noqa: E501
-
-
-@pytest.fixture
-def arm():
-    return parse_robot(Path("arm"), ElementTree.fromstring(ARM))  # noqa: S314 - written above

@@ -1,7 +1,7 @@
 import pytest
 import trimesh
 
-from qdgrasp_assets.asset_check import check
+from qdgrasp_assets.asset_report import check
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_assets.ycb import fetched_mesh
 from qdgrasp_protocol.errors import UnknownName
