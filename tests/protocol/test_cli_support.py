@@ -118,24 +118,6 @@ def command() -> None:
     ctypes.CDLL(None).sleep(3600)
 commands.run_command(app, "deaf")
 """
-LIVING = """
-import time
-import typer
-from qdgrasp_protocol import cli_support as commands
-from qdgrasp_protocol.process import lifetime
-app = typer.Typer()
-commands.SIGNAL_GRACE = 0.3
-@app.command()
-def command() -> None:
-    with lifetime("living") as stop:
-        print("ready", flush=True)
-        while not stop.is_set:
-            time.sleep(0.01)
-        time.sleep(1.0)
-        print("done", flush=True)
-    raise typer.Exit(stop.exit_code)
-commands.run_command(app, "living")
-"""
 
 
 def signalled(code: str, number: int) -> tuple[int, str, str]:
@@ -153,10 +135,6 @@ def signalled(code: str, number: int) -> tuple[int, str, str]:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_command_in_a_call_that_hears_nothing_is_ended_by_force(number: int) -> None:
     assert signalled(DEAF, number) == (128 + number, "", "")
-
-
-def test_a_command_that_takes_its_time_to_stop_in_order_is_left_to_it() -> None:
-    assert signalled(LIVING, signal.SIGTERM) == (128 + signal.SIGTERM, "done\n", "")
 
 
 def test_what_is_printed_keeps_its_lines_and_nothing_else_that_a_terminal_obeys(capsys) -> None:

@@ -6,10 +6,8 @@ from hypothesis import strategies as st
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.keys import (
     NAME,
-    AnyJob,
     Keys,
     job_of,
-    last_chunk,
     matches,
     parse_number,
     patterns_intersect,
@@ -57,17 +55,6 @@ def test_a_name_of_other_characters_is_refused(job: str) -> None:
 )
 def test_a_key_that_is_not_ours_belongs_to_no_job(key: str) -> None:
     assert job_of(key) is None
-
-
-def test_patterns_hear_what_they_are_made_for() -> None:
-    keys = Keys("mugs")
-    assert matches(keys.result(), keys.result(WID))
-    assert matches(keys.outcome(), keys.outcome(7))
-    assert matches(keys.worker_token(), keys.worker_token(WID))
-    assert matches(AnyJob().coordinator_token(), keys.coordinator_token(2))
-    assert matches(AnyJob().work(WID), keys.work(WID))
-    assert not matches(keys.worker_token(), Keys("cubes").worker_token(WID))
-    assert last_chunk(keys.outcome(7)) == "7"
 
 
 def test_a_subscriber_to_everything_hears_none_of_the_bulk() -> None:

@@ -84,15 +84,6 @@ def test_an_impossible_value_is_refused_with_what_is_possible(key: str, value: o
     assert caught.value.exit_code == 2
 
 
-def test_each_success_has_as_many_trials_as_the_protocol_has_or_the_spec_asks() -> None:
-    spec = {"gripper": "hand", "object": "thing"}
-    assert run_spec(spec).trial_count == 0
-    robust = spec | {"protocol": "robust"}
-    assert (run_spec(robust).trial_count, run_spec(robust | {"trials": 10}).trial_count) == (100, 10)
-    with pytest.raises(InputError, match="trials = 10 is for the protocol 'robust', and 'paper' has no"):
-        run_spec(spec | {"trials": 10})
-
-
 def test_a_table_has_hands_come_from_a_tenth_of_a_metre_unless_another_way_is_said() -> None:
     assert run_spec(LEAST).approach == 0.0
     assert run_spec(LEAST | {"resting_pose": "any"}).approach == 0.1

@@ -1,6 +1,5 @@
 """Supervision of child processes: restarts by a simulated clock, and the end of real processes."""
 
-import signal
 import subprocess
 from math import inf
 
@@ -10,8 +9,6 @@ from hypothesis import strategies as st
 from tests.common import PATIENCE
 
 from qdgrasp_protocol.process import (
-    FIRST_PAUSE,
-    LAST_PAUSE,
     MOST_DEATHS,
     MOST_OUTSIDE_DEATHS,
     DiesAgain,
@@ -22,14 +19,6 @@ from qdgrasp_protocol.process import (
 from qdgrasp_protocol.session import SECURITY_VARIABLE
 
 SLEEP = "import time; time.sleep(600)"
-
-
-@pytest.mark.parametrize(("is_from_outside", "most"), [(False, MOST_DEATHS), (True, MOST_OUTSIDE_DEATHS)])
-def test_pauses_grow_to_a_limit_and_end_with_the_last_try(is_from_outside: bool, most: int) -> None:
-    policy = RestartPolicy()
-    pauses = [policy.on_death(0.0, is_from_outside=is_from_outside) for _ in range(most)]
-    assert pauses == [min(FIRST_PAUSE * 2**n, LAST_PAUSE) for n in range(most)]
-    assert policy.on_death(0.0, is_from_outside=is_from_outside) is None
 
 
 @given(st.lists(st.tuples(st.floats(0, 100), st.booleans(), st.booleans()), max_size=60))
@@ -118,11 +107,3 @@ def test_the_words_of_a_death_are_the_sentence_that_this_process_ended_with(proc
     processes.restart_due(processes.restart_later(death, now=0.0))
     processes.process("talker").wait(PATIENCE)
     assert processes.exits() == [ProcessExit("talker", 2, "")]
-
-
-def test_who_is_asked_to_leave_has_the_grace_from_then_on(tmp_path):
-    with ProcessSupervisor(tmp_path, grace=600) as processes:
-        polite = start(processes, SLEEP)
-        processes.request_stop()
-        polite.wait(PATIENCE)
-    assert polite.returncode == -signal.SIGTERM

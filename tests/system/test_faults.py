@@ -18,10 +18,8 @@ from tests.system.commands import (
     end_of,
     has_rows,
     held,
-    is_alive,
     kill,
     pids,
-    processes_of,
     rows_recorded,
     stop,
 )
@@ -45,18 +43,6 @@ def test_who_is_killed_is_started_again_and_goes_on_from_the_journal(qdgrasp, lo
         kill(pids(process, role)[0])
     _, err = end_of(process)
     assert "coordinator was killed by SIGKILL; it is started again" in err
-    assert qdgrasp.digest("run") == long_digest
-
-
-@pytest.mark.slow
-def test_when_run_itself_is_killed_its_processes_end_and_free_the_folder(qdgrasp, long_digest):
-    process, _ = start(qdgrasp, 20)
-    started = list(processes_of(process.pid).values())
-    assert len(started) == 4
-    kill(process.pid)
-    process.communicate()
-    wait_for(lambda: not any(map(is_alive, started)), "the orphans' end")
-    qdgrasp.succeed("resume", "run", "--workers", 1)
     assert qdgrasp.digest("run") == long_digest
 
 

@@ -12,7 +12,7 @@ from tests.system.commands import ROUTER, Commands, digest_of, says
 
 import qdgrasp
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_protocol.errors import EndedEarly, ImpossibleValue
+from qdgrasp_protocol.errors import EndedEarly
 from qdgrasp_protocol.session import Role
 from qdgrasp_tools.security import SecurityFolder
 from qdgrasp_worker.evaluator import Evaluator
@@ -155,12 +155,3 @@ def test_what_was_stopped_goes_on_where_it_was(mine: qdgrasp.Run, tmp_path: Path
 
     assert digest_of(optimise(make, out, resume=True).path) == digest_of(mine.path)
     assert made[0].told == [0, 1, 2, 3]
-
-
-def test_genomes_that_are_none_end_the_run_with_a_sentence(tmp_path: Path) -> None:
-    class Wide(Steps):
-        def ask(self, generation: int) -> np.ndarray:
-            return np.full((2, 7), 3.0)
-
-    with pytest.raises(ImpossibleValue, match=r"in \[-1, 1\]"):
-        optimise(Wide, tmp_path / "run", evaluations=10)

@@ -114,22 +114,3 @@ def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp,
         assert float(line["eta"]) == heard[(int(line["source_generation"]), int(line["source_index"]))]
     info = qdgrasp.info("again")
     assert (info["method"], info["evaluations"], info["trials"]) == ("given", 3, 300)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--protocol", "paper"), "Unknown protocol with trials 'paper'. Known: robust."),
-        (("--top", "0"), "--top"),
-        (("--trials", "0"), "--trials"),
-        (("--out", "taken"), "holds other files"),
-    ],
-)
-def test_what_cannot_be_scored_again_is_refused_in_a_sentence(qdgrasp, reference, options, words):
-    (qdgrasp.home / "taken").mkdir()
-    (qdgrasp.home / "taken" / "file").touch()
-    done = qdgrasp("rerank", reference[0], *options)
-    assert done.code == 2
-    assert words in done.err
-    assert "Traceback" not in done.err
-    assert not (qdgrasp.home / "runs").exists()

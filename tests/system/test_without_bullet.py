@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import qdgrasp as api
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.spec import MissingEngine, check_engine
+from qdgrasp_protocol.spec import MissingEngine
 from qdgrasp_tools.cli.main import app
 
 SCENE = ("--gripper", "panda", "--object", "tennis_ball")
@@ -71,16 +71,6 @@ def test_a_program_is_refused_too_unless_others_evaluate(without_bullet: Path) -
         api.evaluate(np.zeros((1, 3)), np.eye(4)[3:], gripper="panda", object="tennis_ball")
     elsewhere = api.Place(workers=0, connect="tcp/localhost:1")
     api.Evaluations(gripper="panda", object="tennis_ball", place=elsewhere)
-
-
-@pytest.mark.parametrize(
-    ("version", "words"), [((3, 11), "or install it"), ((3, 13), "no wheel for Python 3.13")]
-)
-def test_the_sentence_says_how_bullet_is_had(monkeypatch, without_bullet: Path, version, words: str) -> None:
-    monkeypatch.setattr(sys, "version_info", (*version, 0))
-    with pytest.raises(MissingEngine, match=words):
-        check_engine("bullet")
-    check_engine("mujoco")
 
 
 def test_a_run_in_mujoco_is_carried_out_verified_and_exported_without_extras_too(qdgrasp: Commands) -> None:

@@ -54,16 +54,6 @@ def test_a_terminal_shows_a_bar_with_the_time_left_and_every_figure_below_it() -
     assert " ".join(words).split() == FIGURES.words.split()
 
 
-def test_plain_lines_tell_of_trouble_at_once(capsys: pytest.CaptureFixture[str]) -> None:
-    lines = LineProgress("paper")
-    lines.show(FIGURES)
-    lines.show(FIGURES)
-    lines.show(replace(FIGURES, trouble="no recorder answers"))
-    said = capsys.readouterr().err.splitlines()
-    assert len(said) == 2
-    assert "paused: no recorder answers" in said[1]
-
-
 def test_what_a_coordinator_says_is_escaped(capsys: pytest.CaptureFixture[str]) -> None:
     figures = replace(FIGURES, trouble=EVIL)
     LineProgress("paper").show(figures)
