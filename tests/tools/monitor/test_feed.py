@@ -114,20 +114,6 @@ def test_a_feed_survives_that_it_is_cut_off(network: MemoryNetwork) -> None:
         until(feed, lambda views: feed.is_linked and views[0].figures.evaluations == 1234)
 
 
-def test_a_feed_in_whose_lock_somebody_sits_holds_up_nobody_who_puts(network: MemoryNetwork) -> None:
-    done = threading.Event()
-    with network.session() as bus, Feed(network.session()) as feed:
-
-        def put() -> None:
-            for number in range(5000):
-                say(bus, MUGS.stat("job"), figures(evaluations=number))
-            done.set()
-
-        with feed._changed:  # a reader that does not get on
-            threading.Thread(target=put).start()
-            assert done.wait(PATIENCE)
-
-
 class SlowRecorder:
     """Answers once, when it is let go."""
 

@@ -13,17 +13,15 @@ from tests.tools.monitor.sample_jobs import (
     meta,
     publish,
     run,
-    team,
     values,
     view_of,
     watching,
-    worker,
 )
 
 from qdgrasp_coordinator.metrics.job_status import JobEvents, to_json
 from qdgrasp_protocol.keys import AnyJob
 from qdgrasp_tools.monitor import job_model
-from qdgrasp_tools.monitor.job_model import MAX_POINTS, WINDOW, JobModels, JobView, SeriesBuilder
+from qdgrasp_tools.monitor.job_model import MAX_POINTS, JobModels, JobView, SeriesBuilder
 
 
 @pytest.fixture
@@ -50,13 +48,6 @@ def test_what_is_heard_takes_the_place_of_what_was_heard_before(jobs: JobModels)
     assert view.figures.evaluations == 1004
     assert [one.evaluations for one in view.runs] == [14, 10]
     assert view.history.evaluations == [1000, 1001, 1002, 1003, 1004]
-
-
-def test_pages_of_a_team_that_are_no_more_are_forgotten() -> None:
-    jobs = watching(answers=values(workers=200))
-    (page,) = team(worker(1), worker(2))
-    publish(jobs, START, stat_team_0=page)
-    assert len(view_of(jobs, START).workers) == 2
 
 
 def test_of_many_runs_those_that_are_over_are_forgotten_first_then_the_silent_ones(jobs: JobModels) -> None:
@@ -183,23 +174,6 @@ def test_the_columns_of_a_history_are_of_one_length_and_bounded() -> None:
     gaps = [after - before for before, after in zip(series.at, series.at[1:], strict=False)]
     assert max(gaps) <= 4 * 3
     assert series.evaluations[-1] == 3 * MAX_POINTS - 1
-
-
-def rates(*fresh_by_second: float) -> list[float]:
-    """The rates of a coordinator that has evaluated so much by each second."""
-    history = SeriesBuilder()
-    for second, fresh in enumerate(fresh_by_second):
-        rate = fresh / second if second else 0.0
-        history.add(figures(seconds=float(second), rate=rate), 1000.0 + second)
-    return history.series.rate
-
-
-def test_a_rate_is_of_the_window_before_it() -> None:
-    fast = [990.0 + 50.0 * second for second in range(1, 101)]
-    found = rates(*(10.0 * second for second in range(100)), *fast)
-    assert found[50] == pytest.approx(10.0)
-    assert found[99 + round(WINDOW)] == pytest.approx(50.0)
-    assert 10.0 < found[110] < 50.0
 
 
 def test_a_coordinator_that_begins_to_count_anew_makes_no_rate_negative_or_huge() -> None:

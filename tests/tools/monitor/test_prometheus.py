@@ -12,7 +12,6 @@ from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.job_model import MOST_WORKERS, JobView
 from qdgrasp_tools.monitor.prometheus import STATES, exposition
 
-STRANGE = 'a "quoted"\\ name\nof two lines, {labelled="so"} # HELP'
 OUTCOMES = {one.name.lower(): int(one) for one in Outcome}
 
 
@@ -67,13 +66,6 @@ def test_names_and_types_follow_the_conventions(job: JobView) -> None:
         assert {sample.name for sample in one.samples} <= {f"{name}_total" if one.type == "counter" else name}
         labels = {label for sample in one.samples for label in sample.labels}
         assert labels.isdisjoint({"le", "quantile", "instance"})
-
-
-def test_a_strange_name_comes_back_as_it_was(job: JobView) -> None:
-    meta = structs.replace(job.meta, host=STRANGE)
-    told = samples(text(structs.replace(job, workers=[worker(0, host=STRANGE)], meta=meta)))
-    assert told["qdgrasp_workers", STRANGE, "mugs", "working"] == 1
-    assert told["qdgrasp_job_info", STRANGE, "mugs", "0"] == 1
 
 
 def test_the_number_of_series_is_bounded_and_all_workers_are_counted(job: JobView) -> None:

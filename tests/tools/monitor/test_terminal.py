@@ -36,18 +36,6 @@ class TestKeys:
     def test_a_job_is_chosen_by_its_place(self, pressed: list[str], job: str) -> None:
         assert after(*pressed).job == job
 
-    def test_a_job_that_is_no_more_leaves_the_first_chosen(self) -> None:
-        assert ScreenSelection(job="gone").index(JOBS) == 0
-        assert ScreenSelection(job="b").index(["new", "a", "b"]) == 2
-        assert ScreenSelection().after_key("tab", [], 10) == ScreenSelection()
-
-    @pytest.mark.parametrize(
-        ("key", "long"), [("o", "objects"), ("r", "runs"), ("w", "workers"), ("e", "events")]
-    )
-    def test_a_list_takes_all_the_room_and_gives_it_back(self, key: str, long: str) -> None:
-        assert after(key).list == long
-        assert after(key, key).list == after(key, "a").list == after(key, "escape").list == ""
-
     def test_a_long_list_is_scrolled_line_by_line_and_page_by_page(self) -> None:
         assert after("w", "down", "down", "up").top == 1
         assert after("w", "pagedown", " ", "pageup").top == 10

@@ -199,7 +199,6 @@ class HandMadeRecords:
     found: SuccessTable = field(default_factory=lambda: finds([], np.zeros((0, 3)), []))
     rows: int = 0
     on_a_page: int = 4
-    asked: int = 0
     origin: JournalId = ORIGIN
     now: float = 100.0
 
@@ -218,7 +217,6 @@ class HandMadeRecords:
         return self.a_scene
 
     def page(self, job: str, run: str, first: int) -> RecordPage:
-        self.asked += 1
         if run == "other":
             raise UnknownName("run", run, ["mug"])
         start = int(np.searchsorted(self.found["number"], first))

@@ -57,20 +57,6 @@ def test_the_first_run_is_shown_and_another_may_be_chosen(look: Look, place: str
     expect(page.locator("#name")).to_have_text("mug")
 
 
-def test_a_grasp_is_chosen_by_keys_with_the_commands_for_its_folder(look, place, runs) -> None:
-    page = look(f"{place}/#job=mug&run=run")
-    page.locator("#scene").press("n")
-    number = page.locator("#grasp h4").inner_text().removeprefix("Grasp ")
-    commands = [
-        f"qdgrasp show {runs[1].path} --grasp {number}",
-        f"qdgrasp render {runs[1].path} --grasp {number} -o grasp.png",
-    ]
-    expect(page.locator("#grasp .replay code")).to_have_text(commands)
-    flags = page.locator("#grasp .replay .flag")
-    expect(flags).to_have_text(["--grasp ", "--grasp ", "-o "])
-    assert flags.evaluate_all("flags => flags.map((flag) => flag.getClientRects().length)") == [1, 1, 1]
-
-
 def test_the_settings_of_a_run_are_its_spec_and_how_it_is_simulated(look: Look, place: str) -> None:
     page = look(place)
     page.locator("#scene-settings summary").click()
