@@ -11,10 +11,10 @@ from importlib import import_module
 from types import FrameType
 
 
-def _enter(module: str) -> None:
+def _enter(module: str, *names: str) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _leave)
-    import_module(module).main()
+    import_module(module).main(*names)
 
 
 def _leave(number: int, _frame: FrameType | None) -> None:
@@ -22,8 +22,8 @@ def _leave(number: int, _frame: FrameType | None) -> None:
 
 
 qdgrasp = partial(_enter, "qdgrasp_tools.cli.main")
-coordinator = partial(_enter, "qdgrasp_tools.cli.coordinator_process")
-monitor = partial(_enter, "qdgrasp_tools.cli.monitor_process")
-recorder = partial(_enter, "qdgrasp_tools.cli.recorder_process")
-router = partial(_enter, "qdgrasp_tools.cli.router_process")
+coordinator = partial(_enter, "qdgrasp_tools.cli.job_processes", "coordinator")
+monitor = partial(_enter, "qdgrasp_tools.cli.job_commands")
+recorder = partial(_enter, "qdgrasp_tools.cli.job_processes", "recorder")
+router = partial(_enter, "qdgrasp_tools.cli.job_processes", "router")
 worker = partial(_enter, "qdgrasp_worker.cli")

@@ -35,7 +35,7 @@ class Process:
         self.name = name
         self.log = log
         self.is_stopped = False
-        self._command = [sys.executable, "-m", module, *map(str, arguments)]
+        self._command = [sys.executable, "-m", *module.split(), *map(str, arguments)]
         path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
         self._environment = {**os.environ, "PYTHONPATH": path, **environment}
         self._process: subprocess.Popen[bytes] | None = None

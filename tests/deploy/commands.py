@@ -6,23 +6,15 @@ from typing import Any
 
 import typer
 
-from qdgrasp_tools.cli import (
-    coordinator_process,
-    main,
-    monitor_process,
-    recorder_process,
-    router_process,
-)
+from qdgrasp_tools.cli import job_commands, job_processes, main
 from qdgrasp_worker import cli
 
 DEPLOY = Path(__file__).resolve().parents[2] / "deploy"
 COMMANDS = {
     "qdgrasp": main.app,
-    "qdgrasp-coordinator": coordinator_process.app,
-    "qdgrasp-monitor": monitor_process.app,
-    "qdgrasp-recorder": recorder_process.app,
-    "qdgrasp-router": router_process.app,
+    "qdgrasp-monitor": job_commands.monitor_app,
     "qdgrasp-worker": cli.app,
+    **{f"qdgrasp-{name}": app for name, app in job_processes.APPS.items()},
 }
 
 

@@ -23,9 +23,10 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_tools.campaign.summaries import run_summary
 
-COORDINATOR, MONITOR, RECORDER, ROUTER = (
-    f"qdgrasp_tools.cli.{name}_process" for name in ("coordinator", "monitor", "recorder", "router")
+COORDINATOR, RECORDER, ROUTER = (
+    f"qdgrasp_tools.cli.job_processes {name}" for name in ("coordinator", "recorder", "router")
 )
+MONITOR = "qdgrasp_tools.cli.job_commands"
 WORKER = "qdgrasp_worker.cli"
 LOADED = ["qdgrasp_tools.cli.main", MONITOR, "qdgrasp_coordinator.scheduler.run_plan", "trimesh"]
 _FORKS = multiprocessing.get_context("forkserver")
@@ -110,7 +111,7 @@ class Commands:
     ) -> subprocess.Popen[str]:
         """Start a command; no file that it or its processes write may be longer than `file_size`."""
         words = self._with_port(arguments) if module == "qdgrasp" else arguments
-        return self.begin("-m", module, *words, file_size=file_size, **environment)
+        return self.begin("-m", *module.split(), *words, file_size=file_size, **environment)
 
     def begin(
         self, *words: object, file_size: int | None = None, **environment: str

@@ -16,7 +16,6 @@ from qdgrasp_tools.cli import (
     inspection_commands,
     job_commands,
     machine_commands,
-    object_commands,
     run_commands,
 )
 
@@ -55,7 +54,7 @@ PANELS: dict[str, dict[Callable[..., None] | typer.Typer, str]] = {
     },
     "Your own hands and objects": {
         gripper_commands.gripper_app: "Make and check the file of a hand.",
-        object_commands.object_app: "Check and repair the mesh of an object.",
+        asset_commands.object_app: "Check and repair the mesh of an object.",
         asset_commands.asset_app: "List, fetch and check grippers and objects.",
     },
     "Many machines": {

@@ -117,8 +117,8 @@ class JobProcesses:
 
     def start_recorder(self, out: Path) -> None:
         """Start a recorder that writes to the folder of a job."""
-        flags = [*self._connection_flags, "--out", str(out)]
-        self._processes.start("recorder", "qdgrasp_tools.cli.recorder_process", flags)
+        arguments = ["recorder", *self._connection_flags, "--out", str(out)]
+        self._processes.start("recorder", "qdgrasp_tools.cli.job_processes", arguments)
 
     def start_workers(self, count: int) -> None:
         """Start so many workers, which leave before they would be killed."""
@@ -201,7 +201,7 @@ class Supervisor:
             job = JobProcesses(
                 processes, self._display, self._folder.name, security_flags=self._config.security_flags
             )
-            processes.start(COORDINATOR, "qdgrasp_tools.cli.coordinator_process", self._next_coordinator)
+            processes.start(COORDINATOR, "qdgrasp_tools.cli.job_processes", self._next_coordinator)
             bus: ZenohBus | None = None
             while self._goes_on(job):
                 if not job.endpoint and (endpoint := self._folder.endpoint) is not None:
@@ -232,7 +232,7 @@ class Supervisor:
     def _next_coordinator(self) -> list[str]:
         """Forget where the last coordinator listened; return the arguments of the next."""
         self._folder.forget_endpoint()
-        arguments = [str(self._folder.path), *self._config.security_flags]
+        arguments = ["coordinator", str(self._folder.path), *self._config.security_flags]
         arguments += ["--listen", self._listen] if self._listen else []
         arguments += ["--insecure"] if self._config.insecure else []
         arguments += ["--paused"] if self._is_paused else []

@@ -39,7 +39,7 @@ def recorder(
     endpoint: str, path: Path, *more: str, stderr: IO[bytes] | int = subprocess.PIPE
 ) -> Iterator["subprocess.Popen[bytes]"]:
     arguments = ["--connect", endpoint, "--job", JOB, "--out", str(path), *more]
-    command = [sys.executable, "-m", "qdgrasp_tools.cli.recorder_process", *arguments]
+    command = [sys.executable, "-m", "qdgrasp_tools.cli.job_processes", "recorder", *arguments]
     with subprocess.Popen(command, stderr=stderr) as process:
         try:
             yield process

@@ -14,13 +14,13 @@ import pytest
 from typer.testing import CliRunner
 
 from qdgrasp_protocol.spec import key_texts
-from qdgrasp_tools.cli import coordinator_process, main
+from qdgrasp_tools.cli import job_processes, main
 
 HEAVY = {"coacd", "embreex", "matplotlib", "numba", "ribs", "scipy", "sklearn", "trimesh"}
 """Packages that take a tenth of a second or more to import; commands import them where needed."""
 
 
-@pytest.mark.parametrize("module", ["main", "coordinator_process", "recorder_process"])
+@pytest.mark.parametrize("module", ["main", "job_processes"])
 def test_a_command_line_loads_nothing_heavy_before_its_command_runs(module):
     statements = f"import json, sys, qdgrasp_tools.cli.{module}; print(json.dumps(sorted(sys.modules)))"
     said = subprocess.run([sys.executable, "-c", statements], capture_output=True, check=True, text=True)
@@ -30,7 +30,7 @@ def test_a_command_line_loads_nothing_heavy_before_its_command_runs(module):
 @pytest.mark.parametrize("flags", [["--listen", "tcp/127.0.0.1:0"], ["--insecure"]])
 def test_a_coordinator_at_routers_that_run_has_no_flags_of_its_own_router(flags: list[str]) -> None:
     asked = ["spec.toml", "--connect", "tcp/127.0.0.1:7447", *flags]
-    refusal = CliRunner().invoke(coordinator_process.app, asked).exception
+    refusal = CliRunner().invoke(job_processes.APPS["coordinator"], asked).exception
     assert "--listen and --insecure are for an embedded router" in str(refusal)
 
 

@@ -8,8 +8,8 @@ from tests.tools.monitor.sample_jobs import values, views
 from typer.testing import CliRunner
 
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_tools.cli import monitor_process
-from qdgrasp_tools.cli.monitor_process import app
+from qdgrasp_tools.cli import job_commands
+from qdgrasp_tools.cli.job_commands import monitor_app
 from qdgrasp_tools.monitor.job_model import JobView
 
 TOKEN = "a-token-of-some-length"  # noqa: S105 - it opens nothing
@@ -18,12 +18,12 @@ BOTH = views(values("mugs") | values("cubes"))
 
 
 def test_one_job_is_chosen_by_its_name_and_all_without_one() -> None:
-    assert [view.job for view in monitor_process.chosen_views(BOTH, None)] == ["cubes", "mugs"]
-    assert [view.job for view in monitor_process.chosen_views(BOTH, "mugs")] == ["mugs"]
+    assert [view.job for view in job_commands.chosen_views(BOTH, None)] == ["cubes", "mugs"]
+    assert [view.job for view in job_commands.chosen_views(BOTH, "mugs")] == ["mugs"]
 
 
 def test_json_is_one_line_from_which_all_can_be_read_again() -> None:
-    line = monitor_process.to_json(BOTH, ENDPOINT)
+    line = job_commands.to_json(BOTH, ENDPOINT)
     assert "\n" not in line
     read = json.loads(line)
     assert read["endpoint"] == ENDPOINT
@@ -32,7 +32,7 @@ def test_json_is_one_line_from_which_all_can_be_read_again() -> None:
 
 def test_one_look_shows_all_jobs(capsys, monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    monitor_process.print_look(BOTH, ENDPOINT)
+    job_commands.print_look(BOTH, ENDPOINT)
     said = capsys.readouterr().out
     for words in ("mugs: running", "cubes: running", "1 000 of 3 000", "n0"):
         assert words in said
@@ -41,6 +41,6 @@ def test_one_look_shows_all_jobs(capsys, monkeypatch) -> None:
 
 @pytest.mark.parametrize("flag", ["--once", "--json"])
 def test_a_page_has_no_flags_of_a_terminal(flag: str) -> None:
-    refused = CliRunner().invoke(app, [flag, "--web", "localhost:0"])
+    refused = CliRunner().invoke(monitor_app, [flag, "--web", "localhost:0"])
     assert isinstance(refused.exception, InputError)
     assert "--web serves a page" in str(refused.exception)

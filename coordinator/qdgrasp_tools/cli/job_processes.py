@@ -1,12 +1,16 @@
-"""`qdgrasp-coordinator`: the process that runs the search of a job."""
+"""`qdgrasp-coordinator`, `qdgrasp-recorder` and `qdgrasp-router`: the processes of a job."""
 
+import signal
+import sys
 from contextlib import ExitStack
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Annotated
 
 import structlog
 import typer
 
+from qdgrasp_coordinator.recorder.recorder_service import RecorderService
 from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
@@ -20,18 +24,23 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.process import configure_logging, lifetime
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.session import Credentials, Role
+from qdgrasp_protocol.session import Credentials, Role, default_endpoint
 from qdgrasp_protocol.spec import read_run_spec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.campaign.campaign_file import is_campaign, read_campaign
 from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue
 from qdgrasp_tools.cli import options
+from qdgrasp_tools.monitor.queries import QueryServer
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+APPS = {
+    name: typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    for name in ("coordinator", "recorder", "router")
+}
+"""The programs by name."""
 log = structlog.get_logger()
 
 
-@app.command()
+@APPS["coordinator"].command()
 def coordinator(
     what: Annotated[
         Path,
@@ -114,10 +123,71 @@ def runs_of_job(what: Path, folder: JobFolder | None) -> RunQueue:
     return SingleRunQueue(lambda: run_plan.plan_run(spec, prepared), spec.evaluations)
 
 
-def main() -> None:
-    """Entry point of `qdgrasp-coordinator`."""
-    run_command(app, "qdgrasp-coordinator")
+@APPS["recorder"].command()
+def recorder(
+    job: Annotated[str, typer.Option(help="Name of the job on the bus.")],
+    out: Annotated[
+        Path, typer.Option(help="The job's folder, a run's or a campaign's; begun where there is none.")
+    ],
+    connect: cli_support.ConnectOption = None,
+    security: cli_support.SecurityOption = None,
+    disk_wait: Annotated[float, typer.Option(min=0, help="Seconds to wait for room on a full disk.")] = 60.0,
+    wait: cli_support.WaitOption = 30.0,
+    version: cli_support.VersionOption = False,
+) -> None:
+    """Write what a job finds to its folder, and report what is safe on the disk.
+
+    A single run's records lie in the folder itself, those of a campaign's runs in DIR/runs/RUN. The folder
+    must not be on a network file system. One recorder at a time writes in it.
+
+    Example: qdgrasp-recorder --connect tls/head:7447 --security security --job mugs --out runs/mugs
+    """
+    with lifetime(f"qdgrasp-recorder {job}") as stop:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # files at a size limit count as a full disk
+        configure_logging("recorder")
+        credentials = Credentials.find(security, Role.RECORDER)
+        with ZenohBus.connect(connect, wait, stop, credentials) as bus, QueryServer(bus, job, out):
+            RecorderService(bus, stop, job=job, path=out, disk_wait=disk_wait).run()
+    raise typer.Exit(stop.exit_code)
+
+
+@APPS["router"].command()
+def router(
+    listen: Annotated[
+        str | None, typer.Option(help="Endpoints, separated by commas; default: port 7447 on loopback.")
+    ] = None,
+    connect: Annotated[
+        str | None,
+        typer.Option(help="Endpoints of other routers to relay with; they may be started before or after."),
+    ] = None,
+    security: cli_support.SecurityOption = None,
+    insecure: cli_support.InsecureOption = False,
+    version: cli_support.VersionOption = False,
+) -> None:
+    """Relay between coordinators, recorders, workers and monitors until SIGINT or SIGTERM.
+
+    Clients that name two routers (--connect tls/a:7447,tls/b:7447) go over to the other when one dies.
+
+    Example: qdgrasp-router --listen tls/0.0.0.0:7447 --security security
+    """
+    with lifetime("qdgrasp-router") as stop:
+        configure_logging("router")
+        credentials = Credentials.find(security, Role.ROUTER)
+        endpoint = listen or default_endpoint(encrypted=credentials is not None).text
+        with ZenohBus.router(endpoint, connect=connect, credentials=credentials, insecure=insecure):
+            log.info("listening", endpoint=endpoint, relays_with=connect or "no other router")
+            stopped: SimpleQueue[None] = SimpleQueue()
+            stop.tell(lambda: stopped.put(None))
+            if not stop.is_set:
+                stopped.get()
+        log.info("stopped")
+    raise typer.Exit(stop.exit_code)
+
+
+def main(name: str) -> None:
+    """Entry point of a program."""
+    run_command(APPS[name], f"qdgrasp-{name}")
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv.pop(1))
