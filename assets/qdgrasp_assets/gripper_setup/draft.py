@@ -220,7 +220,7 @@ def draft_axis(closing: ClosingMotion, overrides: DraftOverrides) -> tuple[Float
     if np.linalg.norm(way) < closing_motion.SHORT:
         raise AssetError(
             f"Where the hand in '{closing.body.robot.path}' looks cannot be guessed, as its fingers lie "
-            "around the middle of its palm: say it with --approach-axis, such as 0,0,1."
+            "around the middle of its palm: say it with --approach-axis, such as 0 0 1."
         )
     return closing_motion.snap_to_axis(way), reason
 
@@ -291,7 +291,7 @@ def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> It
     if "approach_axis" not in told and np.abs(axis).max() < 1 - 1e-9:
         yield (
             f"the approach axis, ({join_numbers(axis.round(3))}), is none of the base link's axes: if the "
-            "palm looks along one of them, say so with --approach-axis, such as 0,0,1"
+            "palm looks along one of them, say so with --approach-axis, such as 0 0 1"
         )
 
 

@@ -87,18 +87,8 @@ CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects", "shar
 SHARD = re.compile(r"([1-9]\d{0,3})/([1-9]\d{0,3})")  # Share of a campaign's runs: which of how many
 
 
-class ObjectKeys(Struct, forbid_unknown_fields=True):
-    """Values of an object in a campaign's file; its runs' specs check them."""
-
-    mass: Any = None
-    scale: Any = None
-    friction: Any = None
-    mesh: Any = None
-    about: Any = None
-
-
 ObjectValues = Mapping[str, Mapping[str, Any]]
-"""Values of `OBJECT_KEYS` of objects, by name, as far as they are known."""
+"""Values of a spec's keys of objects, by name, as far as they are known; the runs' specs check them."""
 
 
 @dataclass(frozen=True)
@@ -108,8 +98,6 @@ class Campaign:
     runs: Mapping[str, RunSpec]
     source: Mapping[str, Any]
     """The file's content, with objects as they were resolved."""
-    scans: tuple[str, ...] = ()
-    """Objects that were taken as their scans."""
     stand_ins: tuple[str, ...] = ()
     """Objects whose scans were preferred and not found."""
     skipped: tuple[SkippedObject, ...] | None = None
@@ -131,8 +119,6 @@ class Campaign:
         has_goals = any(getattr(spec, key) is not None for spec in self.runs.values() for key in GOAL_KEYS)
         most = "at most " if has_goals else ""
         parts = [f"{counted(len(self.runs), 'run')}, {most}{counted(self.evaluations, 'evaluation')} in all"]
-        if self.scans:
-            parts.append(f"scans of {', '.join(self.scans)}")
         if self.stand_ins:
             parts.append(f"no scan found of {', '.join(self.stand_ins)}: stand-ins, without S_G coverage")
         if self.skipped:
@@ -242,7 +228,7 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
     said = {key: value for key, value in defaults.items() if value is not None}
     resolved = {} if shard is None else {"shard": shard}
     resolved |= {"defaults": said, "cross": crosses} | ({"objects": objects} if objects else {})
-    return Campaign(runs, resolved, tuple(assets.scans), tuple(assets.stand_ins))
+    return Campaign(runs, resolved, tuple(assets.stand_ins))
 
 
 def _share_of(runs: Mapping[str, RunSpec], shard: str, where: str) -> dict[str, RunSpec]:
@@ -291,7 +277,7 @@ def _usual_spec(method: str) -> RunSpec:
 
 
 class AssetNames:
-    """Resolves grippers and objects of a campaign, and notes scans and stand-ins.
+    """Resolves grippers and objects of a campaign, and notes stand-ins.
 
     With `prefer_scans` an object is taken as its scan if that is found.
     """
@@ -299,7 +285,6 @@ class AssetNames:
     def __init__(self, *, prefer_scans: bool) -> None:
         self._prefer_scans = prefer_scans
         self._absolute: dict[str, Any] = {}
-        self.scans: dict[str, None] = {}
         self.stand_ins: dict[str, None] = {}
 
     def resolve(self, values: dict[str, Any]) -> dict[str, Any]:
@@ -326,7 +311,6 @@ class AssetNames:
         if ycb.scan_source(scan) == ABSENT:
             self.stand_ins[name] = None
             return name
-        self.scans[name] = None
         return scan
 
 
@@ -344,7 +328,7 @@ class CampaignTables(Struct, forbid_unknown_fields=True):
 
     cross: list[dict[str, Any]]
     defaults: dict[str, Any] = {}
-    objects: dict[str, ObjectKeys] = {}
+    objects: dict[str, dict[str, Any]] = {}
     prefer_scans: bool = False
     shard: str | None = None
 

@@ -227,8 +227,8 @@ def analyse(
 
 def coverage(
     directory: options.RunDir,
-    reference: Annotated[Path | None, typer.Option(help="The reference set, an npz file.")] = None,
-    object_: Annotated[str | None, typer.Option("--object", help="The object's name in the set.")] = None,
+    reference: Annotated[Path, typer.Option(help="The reference set, an npz file.")],
+    object_: Annotated[str, typer.Option("--object", help="The object's name in the set.")],
     as_json: options.Json = False,
 ) -> None:
     """Say how much of a reference set of graspable positions a run has found.
@@ -237,8 +237,6 @@ def coverage(
 
     Example: qdgrasp coverage runs/demo --reference S_G_panda_2f.npz --object rubiks_cube
     """
-    if reference is None or object_ is None:
-        raise InputError(f"{'--reference' if reference is None else '--object'} is missing; see --help.")
     folder = RunFolder.open(directory)
     entries = read_reference(reference, object_)
     scene = folder.scene()

@@ -230,10 +230,8 @@ def _conditions(found: "ImportedPoses", object_: str) -> Iterator[str]:
 @options.spec_flags("gripper", "object", "mass", "units", "mesh", "protocol", "engine", "resting_pose")
 def evaluate(
     keys: dict[str, Any],
-    poses: Annotated[Path | None, typer.Option(help="The poses: an npz file, see below.")] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Where the scores go: an npz file; its folder is made.")
-    ] = None,
+    poses: Annotated[Path, typer.Option(help="The poses: an npz file, see below.")],
+    out: Annotated[Path, typer.Option(help="Where the scores go: an npz file; its folder is made.")],
     workers: options.OwnWorkers = None,
     force: options.Force = False,
 ) -> None:
@@ -246,9 +244,6 @@ def evaluate(
 
     Example: qdgrasp evaluate --gripper panda --object mug --poses poses.npz --out scores.npz
     """
-    if poses is None or out is None:
-        missing = "--poses" if poses is None else "--out"
-        raise InputError(f"{missing} is missing: name an npz file (`qdgrasp evaluate --help`).")
     named = (Path(keys[each]) for each in ("gripper", "object") if each in keys)
     output = OutFile(out, force=force, inputs=(poses, *named))
     output.check()

@@ -33,39 +33,17 @@ def parse_names(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
-def parse_vector(field: str, text: str) -> Vector3:
-    """Parse three numbers between commas; raises ImpossibleValue for other text."""
-    x, y, z = _parse_numbers(field, text, 3, "three numbers such as 0,0,1")
-    return x, y, z
-
-
-def parse_pair(field: str, text: str) -> tuple[float, float]:
-    """Parse two numbers between commas; errors as of `parse_vector`."""
-    least, greatest = _parse_numbers(field, text, 2, "two numbers such as 0,0.05")
-    return least, greatest
-
-
-def parse_number(field: str, text: str) -> float:
-    """Parse a number; errors as of `parse_vector`."""
-    (value,) = _parse_numbers(field, text, 1, "a number such as 0.05")
-    return value
-
-
 def parse_positions(field: str, texts: Iterable[str]) -> dict[str, float]:
-    """Parse joint positions, `NAME=VALUE` between commas; errors as of `parse_vector`."""
+    """Parse joint positions, `NAME=VALUE` between commas; raises ImpossibleValue for other text."""
     found = {}
     for part in (part for text in texts for part in text.split(",")):
         name, _, value = part.rpartition("=")
         if not name:
             raise ImpossibleValue(field, part, "JOINT=POSITION, in rad or m")
-        found[name.strip()] = parse_number(f"{field} {name}", value)
-    return found
-
-
-def _parse_numbers(field: str, text: str, count: int, expected: str) -> list[float]:
-    found = parse_numbers(text)
-    if len(found) != count or not all(map(math.isfinite, found)):
-        raise ImpossibleValue(field, text, expected)
+        numbers = parse_numbers(value)
+        if len(numbers) != 1 or not math.isfinite(numbers[0]):
+            raise ImpossibleValue(f"{field} {name}", value, "a number such as 0.05")
+        found[name.strip()] = numbers[0]
     return found
 
 
@@ -88,13 +66,14 @@ def new(
     ] = None,
     base_link: Annotated[str | None, typer.Option(help="The link that the hand hangs on.")] = None,
     approach_axis: Annotated[
-        str | None, typer.Option(metavar="X,Y,Z", help="From the palm to the object, base link's frame.")
+        Vector3 | None, typer.Option(metavar="X Y Z", help="From the palm to the object, base link's frame.")
     ] = None,
     palm_offset: Annotated[
         float | None, typer.Option(min=0, help="From the base link to the palm along that axis [m].")
     ] = None,
     standoff: Annotated[
-        str | None, typer.Option(metavar="LEAST,MOST", help="From the palm to the surface point [m].")
+        tuple[float, float] | None,
+        typer.Option(metavar="LEAST MOST", help="From the palm to the surface point [m]."),
     ] = None,
     fingers: Annotated[
         str | None, typer.Option(metavar="LINK,...", help="The links whose touch makes a success.")
@@ -135,9 +114,9 @@ def new(
     given = DraftOverrides(
         licence=licence,
         base_link=base_link,
-        approach_axis=None if approach_axis is None else parse_vector("approach-axis", approach_axis),
+        approach_axis=approach_axis,
         palm_offset=palm_offset,
-        standoff=None if standoff is None else parse_pair("standoff", standoff),
+        standoff=standoff,
         finger_links=None if fingers is None else parse_names(fingers),
         opened=parse_positions("open", opened or ()),
         closed=parse_positions("closed", closed or ()),

@@ -20,6 +20,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
+from qdgrasp_coordinator.storage.tables import aligned_text
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EXTRAS, ImpossibleValue, InputError, check_packages
 from qdgrasp_protocol.process import lifetime
@@ -317,7 +318,6 @@ def has_desktop(environment: Mapping[str, str]) -> bool:
 
 
 METHOD_COLUMNS = ("name", "prior", "overlaps", "population", "generations_in_flight", "in_flight", "summary")
-METHOD_WIDTHS = (18, 10, 9, 11, 22, 10, 0)
 
 
 def methods(as_json: options.Json = False) -> None:
@@ -326,13 +326,5 @@ def methods(as_json: options.Json = False) -> None:
     Example: qdgrasp methods --json
     """
     table = [{column: getattr(entry, column) for column in METHOD_COLUMNS} for entry in METHODS.values()]
-    if as_json:
-        echo(json.dumps(table))
-        return
-    echo(_method_line(METHOD_COLUMNS))
-    for entry in table:
-        echo(_method_line(tuple(entry.values())))
-
-
-def _method_line(cells: tuple[object, ...]) -> str:
-    return " ".join(f"{cell!s:<{width}}" for cell, width in zip(cells, METHOD_WIDTHS, strict=True))
+    lines = [METHOD_COLUMNS, *([str(value) for value in entry.values()] for entry in table)]
+    echo(json.dumps(table) if as_json else aligned_text(lines, range(len(METHOD_COLUMNS))))

@@ -3,7 +3,6 @@
 import importlib.metadata
 import json
 import os
-import platform as machine
 import socket
 import sqlite3
 import subprocess
@@ -31,8 +30,6 @@ from qdgrasp_protocol.text import counted
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.cli import options
 
-PACKAGES = ("eclipse-zenoh", "numpy", "trimesh", "msgpack", "coacd")
-OLDEST_PYTHON = (3, 11)
 NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}
 SIMULATOR_SECONDS, DEVICE_SECONDS = 60, 900  # Without a device, and with one, which compiles first [s]
 
@@ -42,13 +39,11 @@ class MissingRequirement(InputError):
 
 
 def doctor() -> None:
-    """Check what a run needs on this machine: Python, packages, bus, simulator, disk and assets.
+    """Check what a run needs on this machine: engines, bus, simulator, disk and assets.
 
     Example: qdgrasp doctor
     """
     checks: dict[str, Callable[[], str]] = {
-        "python": _check_python,
-        "packages": lambda: ", ".join(f"{name} {importlib.metadata.version(name)}" for name in PACKAGES),
         "engines": _check_engines,
         "cores": lambda: str(options.cores()),
         "bus": _check_bus,
@@ -68,12 +63,6 @@ def _report(name: str, check: Callable[[], str]) -> bool:
         echo(f"FAILED  {name:<10} {error}")
         return False
     return True
-
-
-def _check_python() -> str:
-    if sys.version_info < OLDEST_PYTHON:
-        raise MissingRequirement(f"Python 3.11 or later is needed, this is {machine.python_version()}.")
-    return f"{machine.python_version()} on {machine.machine()}"
 
 
 def _check_engines() -> str:

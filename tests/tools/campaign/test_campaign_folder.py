@@ -1,6 +1,5 @@
 """Budgets that a run may be given after its beginning, and folders of campaigns."""
 
-import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -28,16 +27,8 @@ from qdgrasp_tools.campaign.campaign_folder import (
     begin_campaign,
     extend_run,
     open_campaign,
-    run_listing,
 )
 from qdgrasp_tools.campaign.summaries import campaign_summary
-
-
-def finished_listing(path: Path, spec: RunSpec) -> RunListing | None:
-    """The counts of a run; None unless its folder holds all of it."""
-    listing = run_listing(path, spec)
-    return listing if listing is not None and listing.finished else None
-
 
 SHAPE = RowShape(genes=7, joints=2)
 
@@ -55,15 +46,6 @@ def generation(size: int) -> Rows:
     rows["outcome"] = Outcome.MISSED
     rows["outcome"][0] = Outcome.HELD
     return rows
-
-
-def test_a_budget_is_raised_and_not_taken_back_below_what_is_recorded(tmp_path: Path) -> None:
-    folder = begun(tmp_path, generation(6)[:6], evaluations=10)
-    extend_run(folder, evaluations=30)
-    assert folder.spec.evaluations == 30
-    with pytest.raises(ImpossibleValue, match="at least 6, which are recorded"):
-        extend_run(folder, evaluations=5)
-    assert folder.spec.evaluations == 30
 
 
 def test_a_run_whose_trials_end_a_generation_early_keeps_its_budget(tmp_path: Path) -> None:
@@ -145,21 +127,6 @@ def test_an_index_that_is_damaged_is_mended_from_the_journals(campaign: JobFolde
     assert finished_here(campaign, spec) is not None
 
 
-def test_an_unfinished_run_is_not_in_the_index(tmp_path: Path) -> None:
-    run = record(tmp_path / "half", made_scene(), random_rows(N), evaluations=N + 1, overlaps="count")
-    assert finished_listing(run.path, run.spec) is None
-    job = JobFolder.create(tmp_path / "job", "mugs")
-    run.path.rename(job.run_path("run-0"))
-    assert extent(job, run_spec_of(job)).runs_done == 0
-    assert not (job.path / FINISHED).exists()
-
-
-def test_a_run_that_is_to_end_before_what_is_recorded_is_named(run: RunFolder) -> None:
-    words = f"cannot end as is asked: evaluations must be at least {N}, .* got {N - 1}"
-    with pytest.raises(InputError, match=f"{re.escape(str(run.path))} {words}"):
-        finished_listing(run.path, msgspec.structs.replace(run.spec, evaluations=N - 1))
-
-
 @pytest.fixture
 def grown(tmp_path: Path) -> Path:
     """A campaign of two runs that are finished: one by its target of grasps, one by its budget."""
@@ -203,13 +170,6 @@ def asked(**values: Any) -> Campaign:
 def path(tmp_path: Path) -> Path:
     begin_campaign(tmp_path / "many", asked())
     return tmp_path / "many"
-
-
-def test_a_new_folder_holds_the_campaign_and_no_run_is_done(tmp_path: Path) -> None:
-    extent = begin_campaign(tmp_path / "many", asked())
-    assert (extent.runs, extent.runs_done, extent.evaluations) == (2, 0, 20_000)
-    assert read_campaign(tmp_path / "many" / CAMPAIGN).runs == asked().runs
-    assert JobFolder.open(tmp_path / "many").name == "many"
 
 
 def test_a_campaign_may_grow_by_runs_and_evaluations(path: Path) -> None:

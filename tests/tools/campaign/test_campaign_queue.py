@@ -105,15 +105,6 @@ def test_shapes_that_are_likely_to_be_needed_are_expected(runs: dict[str, RunSpe
     assert again.expected_shapes == 0.0  # the one that was looked at lies in the store
 
 
-def test_a_shape_that_lies_in_the_store_is_not_wanted_again(runs: dict[str, RunSpec], tmp_path: Path) -> None:
-    before = CampaignRunQueue(None, runs)
-    for wanted in before.wanted_shapes(10).shapes:
-        before.take_shape(built(wanted, tmp_path / "worker"))
-    again = CampaignRunQueue(None, runs)
-    assert not again.wanted_shapes(10).shapes
-    assert sorted(open_all(again)) == sorted(runs)
-
-
 def test_the_runs_of_a_shape_that_cannot_be_built_fail_and_the_others_are_made(runs, tmp_path) -> None:
     queue = CampaignRunQueue(None, runs)
     bad, good = queue.wanted_shapes(10).shapes

@@ -104,14 +104,6 @@ def test_a_campaigns_file_names_a_manifest_as_an_object(library, tmp_path):
     assert all(runs[name] == spec for name, spec in alone.items())
 
 
-def test_flags_are_for_rows_that_do_not_say_otherwise(library):
-    rules = LibraryRules(mass=1.0, mesh=MeshPreparation(glued=True))
-    rows = [ROWS[0] | {"density": "", "mass": ""}, ROWS[1]]
-    one, other = campaign_of_meshes(write_manifest(library / "o.csv", rows), rules, VALUES).runs.values()
-    assert (one.mass, one.mesh) == (1.0, MeshPreparation(glued=True))
-    assert (other.mass, other.mesh) == (0.25, MeshPreparation(simplify=100, hull=True))
-
-
 BAD_ROWS = [
     ({"file": "lost.stl", "mass": 1}, "No mesh file at"),
     ({"file": "a/part.stl", "mass": 1}, "is 20 x 30 x 50 m large"),

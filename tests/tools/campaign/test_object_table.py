@@ -4,7 +4,6 @@ from typing import Any
 
 import pytest
 from msgspec import structs
-from tests.tools.monitor.sample_jobs import event
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
@@ -13,7 +12,6 @@ from qdgrasp_tools.campaign.object_library import SkippedObject
 from qdgrasp_tools.campaign.summaries import (
     ObjectRun,
     list_objects,
-    main_loss,
     select_objects,
     with_events,
 )
@@ -104,26 +102,6 @@ def test_an_object_is_judged_by_its_finished_runs_alone() -> None:
     begun = run("x", seed=1, totals=totals(evaluations=10), is_done=False)
     assert not list_objects([run("a"), run("b"), run("x"), begun, waiting("x", seed=2)])[2].little
     assert not list_objects([run("a"), run("x", totals=OVERLAPPING, is_done=False)])[1].little
-
-
-def test_the_greatest_loss_is_named() -> None:
-    mixed = totals(simulated=2000, dead_ends=500, overlaps=1500, successes=1990, grasps=990)
-    assert main_loss(mixed) == "the open hand overlaps it in 1500 of 4000 poses"
-    assert main_loss(structs.replace(mixed, grasps=1)) == "it was dropped in 1989 of 1990 successes"
-
-
-def warning(words: str = "It is coarse.", file: str = "a", number: int = 1, **more: Any) -> Any:
-    return event(number, words, **({"kind": "warning", "object": file} | more))
-
-
-def test_a_shape_with_a_fault_is_a_warning_at_its_object() -> None:
-    before = list_objects([run("a"), run("b")])
-    found = with_events(before, [warning(), warning(number=2), warning("Lost.", file="c")])
-    assert (found[0].warnings, found[1].warnings) == (["It is coarse."], [])
-
-
-def failure(number: int, words: str, run: str) -> Any:
-    return event(number, words, kind="error", run=run, object="a")
 
 
 def test_an_object_whose_shape_is_built_is_building_until_a_run_begins() -> None:

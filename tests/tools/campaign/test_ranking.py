@@ -12,7 +12,7 @@ from tests.coordinator.recorded_runs import record_spec
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_coordinator.metrics import successes
-from qdgrasp_coordinator.metrics.cells import MIDDLES, UNKNOWN_GENOMES, GenomeReader, cell_keys, cells, niches
+from qdgrasp_coordinator.metrics.cells import MIDDLES, GenomeReader, cell_keys, cells
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
@@ -21,7 +21,6 @@ from qdgrasp_tools.campaign.source_runs import (
     is_reranking,
     kinds_of_run,
     rank_poses,
-    read_run_grasps,
     source_file,
     write_ranking,
 )
@@ -50,20 +49,6 @@ def trials_of(row: np.void, total: int) -> Rows:
     made["fitness"] = np.where(np.arange(TRIALS) < total // 2, 2, 0)
     made["fitness"][-1] = total % 2
     return made
-
-
-@pytest.mark.parametrize(
-    ("column", "better", "worse"), [("fitness", 2, 1), ("penetration", 0.001, 0.002), ("contacts", 3, 2)]
-)
-def test_grasps_are_ordered_by_fitness_then_penetration_then_contacts(column: str, better, worse) -> None:
-    found = rows(Outcome.HELD, Outcome.HELD)
-    others = ["fitness", "penetration", "contacts"]
-    for later in others[others.index(column) + 1 :]:
-        found[later] = [1, 0] if later == "penetration" else [0, 1]  # all that comes after speaks against it
-    found[column] = [better, worse]
-    assert best_of_kinds(found, 2, BODY)["index"].tolist() == [0, 1]
-    found[column] = [worse, better]
-    assert best_of_kinds(found, 2, BODY)["index"].tolist() == [1, 0]
 
 
 def test_of_equal_fitness_the_greater_margin_is_better_whatever_the_penetration(monkeypatch) -> None:
@@ -95,14 +80,6 @@ def test_the_best_of_each_cell_are_taken_whatever_the_order_of_rows(seed: int, m
         assert row["fitness"] == found["fitness"][cell_keys(cells(found["descriptor"])) == place].max()
 
 
-def test_the_best_of_each_niche_are_taken_where_that_is_asked_for() -> None:
-    found = rows(*[Outcome.HELD] * 4)
-    found["descriptor"], found["base_to_object"][:, 3:] = 0, MIDDLES[[0, 1, 0, 1]]
-    found["penetration"] = [0.002, 0.001, 0.001, 0.002]
-    assert best_of_kinds(found, 4, BODY)["index"].tolist() == [1]
-    assert best_of_kinds(found, 4, BODY, niches(found, UNKNOWN_GENOMES))["index"].tolist() == [1, 2]
-
-
 @pytest.mark.parametrize(
     ("diversity", "by_niche", "chosen"),
     [
@@ -121,14 +98,6 @@ def test_grasps_are_told_apart_as_the_search_did_or_as_is_asked(diversity, by_ni
     asked = RunSpec(gripper="hand", object="thing", diversity=diversity)
     kinds = kinds_of_run(asked, found, reader, by_niche)
     assert best_of_kinds(found, 4, BODY, kinds)["index"].tolist() == chosen
-
-
-def test_only_grasps_are_scored_again(tmp_path: Path) -> None:
-    every = rows(*Outcome)
-    assert read_run_grasps(record_spec(tmp_path / "run", spec(), every))["outcome"].tolist() == [
-        Outcome.SHAKEN,
-        Outcome.HELD,
-    ]
 
 
 def test_a_ranking_is_by_eta_and_names_the_rows_that_it_came_from(tmp_path: Path) -> None:

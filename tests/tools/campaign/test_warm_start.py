@@ -18,13 +18,13 @@ from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
 from qdgrasp_coordinator.search.registry import check_spec
-from qdgrasp_coordinator.search.success_model import STARTS, LogisticRegression, pooled_weights
+from qdgrasp_coordinator.search.success_model import STARTS, pooled_weights
 from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_coordinator.storage.outputs import ORIGIN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.rows import Rows
-from qdgrasp_protocol.spec import FirstWeights, RunSpec
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign import source_runs
 from qdgrasp_tools.campaign.source_runs import WarmStart
 from qdgrasp_tools.cli.main import app
@@ -88,45 +88,6 @@ def test_weights_are_those_of_one_fit_to_what_the_searches_saw(folder: Record, r
         assert weights == tuple(np.clip(expected, -STEEPEST_VALUE, STEEPEST_VALUE).tolist())
     check_spec(msgspec.structs.replace(SPEC, first_weights=learned.weights))
     assert [Path(run.run).name for run in learned.runs] == ["one", "other"]
-
-
-def test_an_unfinished_run_hands_on_what_it_knows(folder: Record) -> None:
-    whole, part = (WarmStart.learned(SPEC, [folder(f"run{n}", rows=n)]) for n in (10**6, 400))
-    assert part.weights.touch is not None
-    assert part.weights != whole.weights
-    assert part.runs[0].rows == 400
-
-
-def test_candidates_are_ranked_by_the_weights_from_the_first_generation() -> None:
-    first = FirstWeights(touch=(1.0, *STARTS["touch"][1:]), cell_quality=(2.0, *STARTS["cell_quality"][1:]))
-    search = ValueSearch(msgspec.structs.replace(SPEC, first_weights=first), SPACE)
-    genes = SPACE.layout.values(search.ask(0))[:, 9:]
-    assert genes[:, 0] == pytest.approx(1.0, abs=1e-5)
-    assert np.abs(genes[:, 1:]).max() < 1e-5
-    given = {name: model.weights.tolist() for name, model in search.models.items()}
-    assert given == {name: list(getattr(first, name) or STARTS[name]) for name in STARTS}
-
-
-TRUE = np.array([3.0, -2.0, 1.0])
-
-
-def examples(n: int, seed: int, constant: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    random = np.random.default_rng(seed)
-    features = np.append(random.uniform(-1, 1, (n, 2)), np.ones((n, 1)), axis=1)
-    return features, random.random(n) < 1 / (1 + np.exp(-features @ TRUE - constant))
-
-
-def model_of(*told: tuple[np.ndarray, np.ndarray]) -> LogisticRegression:
-    model = LogisticRegression(np.zeros(3))
-    for features, successes in told:
-        model.learn(features, successes)
-    return model
-
-
-def test_runs_without_failures_tell_nothing() -> None:
-    features, _ = examples(300, 0)
-    assert pooled_weights([model_of((features, np.ones(300, bool)))], np.zeros(3)) is None
-    assert pooled_weights([model_of()], np.zeros(3)) is None
 
 
 @pytest.mark.parametrize(

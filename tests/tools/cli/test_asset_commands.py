@@ -41,15 +41,6 @@ def test_fetch_states_the_licence_and_asks_the_address_it_is_given(asset, monkey
         assert site.asked == [f"/{archive}", f"/mirror/{archive}"]
 
 
-def test_fetch_goes_on_after_a_scan_that_is_not_what_it_must_be(asset):
-    with served() as site:
-        site.content = b"no archive"
-        done = asset("fetch", "ycb_bowl", "ycb_mug", "--from", site.address)
-        assert site.asked == [f"/{SCANS[name].archive}" for name in ("ycb_bowl", "ycb_mug")]
-    assert "for 'ycb_bowl' was thrown away: " in str(done.exception)
-    assert "for 'ycb_mug' was thrown away: " in str(done.exception)
-
-
 def test_check_says_what_is_good_and_ends_with_what_is_wrong(asset, tmp_path):
     part = tmp_path / "part.stl"
     box = trimesh.creation.box((0.02, 0.03, 0.04))

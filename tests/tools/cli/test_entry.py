@@ -1,7 +1,6 @@
 """Entry points of the commands, and the modules that they load first."""
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -93,16 +92,3 @@ def test_the_help_of_a_run_has_the_flags_people_type_and_all_other_keys_for_set(
     named = {flag.replace("-", "_").replace("units", "scale") for flag in flags}
     assert set(keys) | named >= key_texts().keys()
     assert not named & set(keys)
-
-
-@pytest.mark.parametrize("shell", ["bash"])
-def test_the_words_of_commands_are_completed_in_a_shell(shell: str) -> None:
-    def said(how: str, **asked: str) -> str:
-        environment = os.environ | {"_QDGRASP_COMPLETE": f"{how}_{shell}"} | asked
-        code = "import sys; sys.argv = ['qdgrasp']; from qdgrasp.entry import qdgrasp; qdgrasp()"
-        line = [sys.executable, "-c", code]
-        return subprocess.run(line, capture_output=True, check=False, text=True, env=environment).stdout
-
-    assert "complete_" + shell in said("source")
-    words = {"COMP_WORDS": "qdgrasp rer", "COMP_CWORD": "1", "_TYPER_COMPLETE_ARGS": "qdgrasp rer"}
-    assert "rerank" in said("complete", **words, _TYPER_COMPLETE_FISH_ACTION="get-args")

@@ -13,10 +13,8 @@ from tests.coordinator.scenes import SceneMaker, made_scene
 from tests.tools.report.test_row_report import OUTCOMES, run_of
 from typer.testing import CliRunner, Result
 
-from qdgrasp_coordinator.search.registry import METHODS
-from qdgrasp_protocol.errors import ImpossibleValue, InputError
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_tools.cli.main import app
-from qdgrasp_tools.cli.options import host_and_port
 
 
 @pytest.fixture
@@ -37,15 +35,6 @@ def test_a_grasp_is_shown_line_by_line_and_the_run_by_the_name_of_its_folder(pat
         "rows             5",
     ):
         assert words in lines
-
-
-def test_escapes_in_what_a_run_says_of_itself_do_not_reach_the_terminal(tmp_path: Path) -> None:
-    title = "\x1b]0;owned\x07\x1b[2J\x9b31m"
-    folder = record(tmp_path / f"run{title}", made_scene(), random_rows(10), object=f"{title}.stl")
-    told = CliRunner().invoke(app, ["info", str(folder.path)])
-    assert told.exit_code == 0, told.exception
-    assert all(line.isprintable() for line in told.output.splitlines()), told.output
-    assert r"\x1b]0;owned\x07\x1b[2J\x9b31m.stl" in told.output
 
 
 def test_a_row_that_is_not_there_is_refused(path: Path) -> None:
@@ -86,12 +75,6 @@ def refusal(*arguments: object) -> BaseException | None:
     return CliRunner().invoke(app, ["verify", *map(str, arguments)]).exception
 
 
-@pytest.mark.parametrize("text", ["", "8080", ":8080", "head", "head:", "head:x", "head:65536", "head:-1"])
-def test_what_is_no_place_is_refused_with_how_to_write_one(text: str) -> None:
-    with pytest.raises(ImpossibleValue, match="HOST:PORT, such as"):
-        host_and_port(text)
-
-
 @pytest.mark.parametrize(("flags", "is_opened"), [([], True), (["--no-open"], False)])
 def test_the_address_is_printed_and_opened_unless_somebody_says_no(tmp_path, monkeypatch, flags, is_opened):
     seen, address = SimpleQueue[str](), "http://127.0.0.1:8080/"
@@ -110,14 +93,6 @@ def test_the_address_is_printed_and_opened_unless_somebody_says_no(tmp_path, mon
     assert done.exit_code == 0, done.exception
     assert done.stdout == f"The grasps are shown at {address} until Ctrl-C.\n"
     assert seen.empty() is not is_opened
-
-
-def test_machines_get_the_same_table() -> None:
-    table = json.loads(CliRunner().invoke(app, ["methods", "--json"]).stdout)
-    assert {entry["name"]: entry["prior"] for entry in table} == {
-        name: entry.prior for name, entry in METHODS.items()
-    }
-    assert next(entry for entry in table if entry["name"] == "cma_mae")["population"] == 540
 
 
 @pytest.fixture(scope="module")

@@ -114,13 +114,6 @@ def test_flags_that_cannot_be_are_refused_in_one_sentence(check, flags, error, w
         raise done.exception
 
 
-def test_a_name_of_the_catalog_is_no_file(check):
-    done = check("mug")
-    assert str(done.exception) == (
-        "'mug' is an object of the catalog, no file; `qdgrasp asset check mug` checks it."
-    )
-
-
 @pytest.mark.parametrize("way", ["remesh", "hull"])
 def test_a_mesh_that_cannot_be_used_has_a_way_out(check, tmp_path, way):
     trimesh.Trimesh(block().vertices, block().faces[2:], process=False).export(tmp_path / "part.ply")

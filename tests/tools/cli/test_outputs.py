@@ -12,38 +12,8 @@ from tests.tools.export.foreign_files import ISAAC
 from tests.tools.report.test_row_report import OUTCOMES, run_of
 from typer.testing import CliRunner, Result
 
-from qdgrasp_protocol.errors import FolderError, OutputError
+from qdgrasp_protocol.errors import OutputError
 from qdgrasp_tools.cli.main import app
-
-READERS = {
-    "info": (),
-    "digest": (),
-    "show": ("--grasp", "0"),
-    "view": ("--no-open",),
-    "export": ("--format", "csv", "--out", "never"),
-    "render": ("--grasp", "0", "--out", "never.png"),
-    "verify": (),
-    "resume": (),
-    "rerank": ("--top", "1"),
-}
-
-
-def refusal(command: str, path: Path) -> str:
-    error = CliRunner().invoke(app, [command, str(path), *READERS[command]]).exception
-    assert isinstance(error, FolderError), (command, error)
-    return str(error)
-
-
-@pytest.mark.parametrize("command", READERS)
-def test_a_folder_that_is_not_there_and_a_file_are_told_apart(command: str, tmp_path: Path) -> None:
-    nowhere, file = tmp_path / "nowhere", tmp_path / "run.sqlite"
-    file.write_bytes(b"")
-    assert refusal(command, nowhere) == (
-        f"There is no folder {nowhere}; `qdgrasp run --out {nowhere}` would begin a run there."
-    )
-    assert refusal(command, file) == f"{file} is no folder; name that of a run."
-    assert list(tmp_path.iterdir()) == [file]
-
 
 FILES = {
     "evaluate": "evaluate --gripper panda --object mug --poses poses.npz --out OUT.npz",
@@ -108,17 +78,6 @@ def flag(command: str) -> str:
 def each(*tables: dict[str, str]) -> pytest.MarkDecorator:
     found = {f"{name} {flag(command)}": command for table in tables for name, command in table.items()}
     return pytest.mark.parametrize("command", found.values(), ids=found)
-
-
-@pytest.mark.usefixtures("home")
-@each(FILES, FOLDERS)
-def test_a_path_below_a_file_is_refused(command: str) -> None:
-    Path("taken").write_text("mine")
-    out = written(command, "taken/new/out")
-    assert refused(command, "taken/new/out").startswith(
-        f"{out} lies below {Path('taken').absolute()}, which is a file; name another path"
-    )
-    assert Path("taken").read_text() == "mine"
 
 
 @pytest.mark.usefixtures("home")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.common import with_gripper
 from tests.coordinator.recorded_runs import record, reshape_rows
-from tests.coordinator.scenes import JAW, made_scene
+from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
@@ -124,19 +124,6 @@ def test_of_a_success_without_a_settled_pose_it_is_said_that_it_is_not_recorded(
     found = row_report(made.folder, 1)
     assert (found.settled, found.moved, found.turned, found.contact_points) == (None, None, None, ())
     assert "\nsettled          none\n" in found.table
-
-
-def test_a_joint_that_turns_is_told_in_radians(tmp_path: Path) -> None:
-    turning = with_gripper(made_scene(), urdf=JAW.replace("prismatic", "revolute"))
-    turning = run_of(tmp_path / "mug", turning, OUTCOMES)
-    assert {one.unit for one in row_report(turning.folder, 1).joints} == {"rad"}
-
-
-def test_genes_have_names_and_stand_for_values_in_their_intervals(made: Made) -> None:
-    genes = row_report(made.folder, 1).genome
-    known = layout(made.scene, PRIOR)
-    assert tuple(one.name for one in genes) == known.names
-    assert [one.value for one in genes] == pytest.approx(known.values(made.rows["genome"][[1]])[0])
 
 
 def test_what_there_is_not_is_left_out(made: Made) -> None:
