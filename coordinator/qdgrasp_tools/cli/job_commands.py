@@ -1,4 +1,4 @@
-"""Running jobs: `qdgrasp jobs`, `pause`, `continue`, `cancel`, `drain`, and `qdgrasp-monitor`."""
+"""Running jobs: `jobs`, `pause`, `continue`, `cancel`, `drain`; and `qdgrasp-monitor`."""
 
 import io
 import json
