@@ -47,19 +47,9 @@ open = 0.0
 closed = -0.04
 """
 
-LID = "".join(
-    f'<joint name="to_{child}" type="fixed"><parent link="{parent}"/><child link="{child}"/></joint>'
-    f'<link name="{child}"><inertial><mass value="0.1"/>{INERTIA}</inertial>'
-    '<collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>'
-    for parent, child in (("palm", "stem"), ("stem", "lid"))
-)
-"""Two links in the palm of the jaw, one fixed to it and the other to the first."""
 
 BOX = '<box size="0.02 0.01 0.06"/>'
 """The shape of a finger of the jaw."""
-ARCHED_URDF = JAW_URDF.replace(BOX, '<mesh filename="arch.stl"/>').replace(
-    f'<inertial><mass value="0.5"/>{INERTIA}</inertial>', ""
-)
 LEGS_AND_TOP = [
     [(-0.010, -0.005, -0.030), (-0.005, 0.005, 0.030)],
     [(0.005, -0.005, -0.030), (0.010, 0.005, 0.030)],

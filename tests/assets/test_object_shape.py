@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import re
 import shutil
 from pathlib import Path
@@ -15,11 +14,7 @@ import pytest
 import trimesh
 
 from qdgrasp_assets import object_shape
-from qdgrasp_assets.asset_paths import UNFINISHED
-from qdgrasp_assets.catalog import assemble_scene, build_scene, carried_hand
-from qdgrasp_assets.geometry.mesh import parts_to_obj
-from qdgrasp_assets.geometry.surface_points import SURFACES
-from qdgrasp_assets.object_model import read_object
+from qdgrasp_assets.catalog import assemble_scene, build_scene
 from qdgrasp_assets.object_shape import (
     ObjectShape,
     ShapeStore,
@@ -28,7 +23,7 @@ from qdgrasp_assets.object_shape import (
     shape_task,
     unpack_shape,
 )
-from qdgrasp_assets.scene import Scene, SceneObject, pack_scene, vector
+from qdgrasp_assets.scene import pack_scene
 from qdgrasp_protocol.build_messages import MeshPreparation, ShapeTask
 from qdgrasp_protocol.errors import AssetError, MessageError, QdgraspError
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
@@ -102,39 +97,6 @@ def built_elsewhere(spec: RunSpec, folder: Path) -> ObjectShape:
     return unpack_shape(pack_shape(build_shape(task, folder_of(task, spec, folder))))
 
 
-def scene_of_model(spec: RunSpec) -> Scene:
-    """The scene of a mesh file, put together from its mesh and parts."""
-    made = read_object(Path(spec.object), spec.mass, spec.scale, spec.mesh, spec.about)
-    mesh, parts = made.centred_mesh, made.centred_parts
-    cloud = SURFACES[spec.protocol](mesh, parts, made.com_in_mesh, spec.surface_seed)
-    low, high = mesh.bounds
-    return Scene(
-        protocol=spec.protocol,
-        gripper=carried_hand(spec),
-        object=SceneObject(
-            name=made.name,
-            source=made.source,
-            licence=made.licence,
-            collision_source=made.collision_source,
-            mass=made.mass,
-            lateral_friction=0.5 if spec.friction is None else spec.friction,
-            rolling_friction=0.01,
-            spinning_friction=0.1,
-            com_in_mesh=vector(made.com_in_mesh),
-            collision=parts_to_obj(parts),
-            mesh_vertices=mesh.vertices.astype("<f4").tobytes(),
-            mesh_faces=mesh.faces.astype("<u4").tobytes(),
-        ),
-        points=cloud.points.astype("<f4").tobytes(),
-        normals=cloud.normals.astype("<f4").tobytes(),
-        finder_low=vector(cloud.finder_low),
-        finder_high=vector(cloud.finder_high),
-        object_low=vector(low),
-        object_high=vector(high),
-        contact_slots=8,
-    )
-
-
 SPECS: dict[str, tuple[str, Changes]] = {
     "plain": ("block", {"friction": 0.7}),
     "scaled, decomposed": ("angle", {"scale": 0.5, "about": ObjectRecord(id="an angle", source="acme")}),
@@ -151,8 +113,7 @@ def test_a_scene_has_the_same_bytes_whether_its_shape_is_built_here_or_elsewhere
     tmp_path, monkeypatch, name, values
 ):
     spec = mesh_spec(tmp_path, name, **values)
-    plain = pack_scene(scene_of_model(spec))
-    assert pack_scene(build_scene(spec)).digest == plain.digest
+    plain = pack_scene(build_scene(spec))
     monkeypatch.setattr(object_shape, "geometry_of", None)
     assert pack_scene(build_scene(spec)).digest == plain.digest
     monkeypatch.undo()
@@ -303,20 +264,3 @@ def test_a_store_gives_back_what_is_whole(block, cache):
         assert store.get(KEYS[0]) is None
     store.put(KEYS[0], pack_shape(block))
     assert store.get(KEYS[0]) == block
-
-
-def test_a_full_store_loses_what_was_not_used_for_longest(block, tmp_path, monkeypatch):
-    payload = pack_shape(block)
-    monkeypatch.setattr(ShapeStore, "SWEPT", 1)
-    store = ShapeStore(tmp_path, most_bytes=int(3.5 * len(payload)))
-    for age, key in enumerate(KEYS[:3]):
-        store.put(key, payload)
-        os.utime(tmp_path / f"{key}.shape", (age, age))
-    abandoned, recent = (tmp_path / f"{UNFINISHED}{name}" for name in ("old", "new"))
-    for folder in (abandoned, recent):
-        folder.mkdir()
-    os.utime(abandoned, (0, 0))
-    assert store.get(KEYS[0]) == block  # so it was used last
-    store.put(KEYS[3], payload)
-    assert [store.get(key) is not None for key in KEYS] == [True, False, True, True]
-    assert (abandoned.exists(), recent.exists()) == (False, True)

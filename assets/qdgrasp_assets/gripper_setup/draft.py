@@ -12,7 +12,6 @@ from msgspec import UNSET, Struct, structs
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.closing_motion import (
-    PARALLEL,
     ClosingMotion,
     closing_leaders,
     joint_motor,
@@ -285,7 +284,6 @@ def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> It
     `axis` (3,) is the approach axis, `told` has the keys that are not guessed.
     """
     yield from _finger_warnings(closing)
-    yield from _spread_warnings(closing, axis)
     if against := ", ".join(contradicted_limits(closing.body.robot)):
         yield f"limits that mostly forbid what <mimic> asks: {against}; --repair takes those of the <mimic>"
     if "approach_axis" not in told and np.abs(axis).max() < 1 - 1e-9:
@@ -316,20 +314,6 @@ def _finger_warnings(closing: ClosingMotion) -> Iterator[str]:
 def _length(closing: ClosingMotion, finger: Finger) -> float:
     tip = finger.tip(closing.body.robot.forward({}))
     return float(np.linalg.norm(tip - finger_root(closing.body, finger)))
-
-
-def _spread_warnings(closing: ClosingMotion, axis: Floats) -> Iterator[str]:
-    """Yield joints that close by turning a finger about the approach axis, as if to spread it."""
-    frames = closing.body.robot.forward(closing.posture(0.0))
-    for finger in closing.fingers:
-        for name in closing_leaders(closing.body, finger, closing.closed):
-            joint = closing.body.joint(name)
-            about = frames[joint.child][:3, :3] @ joint.axis
-            if joint.kind != "prismatic" and abs(about @ axis) > PARALLEL:
-                yield (
-                    f"the joint '{name}' closes by turning about the approach axis, as joints do that spread "
-                    f"fingers: if it does not close the hand, say --not-closing {name}"
-                )
 
 
 LINE_WIDTH = 108

@@ -88,18 +88,6 @@ def test_small_holes_are_filled_only_where_that_is_asked_for():
     assert mesh.volume == pytest.approx(whole.volume, rel=1e-3)
 
 
-def test_bodies_that_share_an_edge_are_a_solid():
-    """Four triangles meet at one edge; each has inside on one side and outside on the other."""
-    low, high = SOLID.bounds
-    edge = trimesh.util.concatenate(
-        [trimesh.creation.box(BLOCK), trimesh.creation.box(BLOCK).apply_translation((high - low) * (1, 1, 0))]
-    )
-    edge.merge_vertices()
-    mesh = Mesh(np.array(edge.vertices), np.array(edge.faces))
-    assert repair_mesh(mesh) == (mesh, ())
-    assert surface_faults(mesh) == ()
-
-
 RING = trimesh.creation.annulus(0.015, 0.03, 0.02)
 TURN = trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0))
 

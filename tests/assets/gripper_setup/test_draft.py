@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.assets.example_hands import INERTIA, LID
+from tests.assets.example_hands import INERTIA
 
 from qdgrasp_assets.asset_report import examine
 from qdgrasp_assets.catalog import find_gripper
@@ -77,13 +77,6 @@ def test_a_follower_goes_where_its_leader_takes_it_and_is_driven(jaw_urdf, edit)
     assert "mimics slide (0.5 times it, plus -0.01)" in found.reasons["joints.other"]
 
 
-def test_links_that_overlap_are_written_into_the_file_as_such_that_may(jaw_urdf, edit):
-    edit(jaw_urdf, "</robot>", f"{LID}</robot>")
-    found = guessed(jaw_urdf)
-    assert found.file.disabled_collisions == (("palm", "lid"),)
-    assert 'disabled_collisions = [["palm", "lid"]]' in draft_toml(found, "own.toml")
-
-
 def test_what_is_told_is_not_guessed(jaw_urdf):
     found = guessed(
         jaw_urdf, licence="CC0", approach_axis=(0.0, 1.0, 0.0), palm_offset=0.01, standoff=(0.0, 0.02),
@@ -133,15 +126,6 @@ def test_a_hand_that_is_turned_is_guessed_alike(jaw_urdf, edit, turn):
     assert turned.standoff == pytest.approx(still.standoff, abs=1e-4)
     assert turned.jaw is not None
     assert abs(np.dot(turned.jaw.axis, rotation @ still.jaw.axis)) == pytest.approx(1.0)
-
-
-def test_fingers_whose_joints_lie_in_their_middle_are_approached_from_the_palm(jaw_urdf, edit):
-    for side in ("0.045", "-0.045"):
-        edit(jaw_urdf, f'xyz="0 {side} 0.041"', f'xyz="0 {side} 0.071"')
-    edit(jaw_urdf, 'origin xyz="0 0 0.03"', 'origin xyz="0 0 0"')
-    file = guessed(jaw_urdf).file
-    assert file.approach_axis == (0.0, 0.0, 1.0)
-    assert file.standoff == pytest.approx((0.0, 0.061))
 
 
 def test_a_finger_that_is_fixed_opposite_to_the_one_that_moves_is_a_finger(jaw_urdf, edit):

@@ -46,13 +46,6 @@ class Pair:
         for _ in range(count):
             yield {**merged, **{j.name: random.uniform(j.lower, j.upper) for j in self.own.moving}}
 
-    def owner(self, link):
-        """The built-in hand's link that a link of the reference is part of."""
-        parents = {joint.child: joint.parent for joint in self.reference.robot.joints}
-        while link not in self.own.robot.links:
-            link = parents.get(link, self.own.robot.root)
-        return link
-
 
 def find_hand(name):
     gripper = find_gripper(name)

@@ -6,7 +6,6 @@ import pytest
 from tests.assets import example_mjcf
 
 from qdgrasp_assets.asset_report import examine_urdf
-from qdgrasp_assets.grippers.hand_model import read_hand_model
 from qdgrasp_assets.grippers.mjcf import is_mjcf, read_mjcf
 from qdgrasp_assets.grippers.urdf import parse_origin
 from qdgrasp_protocol.errors import AssetError
@@ -70,23 +69,6 @@ def test_links_weigh_what_mujoco_has_and_where(crooked):
         assert frame[:3, :3] @ np.diag(moments) @ frame[:3, :3].T == pytest.approx(
             turn @ np.diag(model.body_inertia[number]) @ turn.T, abs=1e-12
         )
-
-
-def test_shapes_reach_as_far_as_mujocos(crooked):
-    model, robot = crooked
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    body = read_hand_model(robot, robot.root)
-    posture = {joint.name: data.joint(joint.name).qpos[0] for joint in robot.joints if joint.moves}
-    mesh = next(n for n in range(model.ngeom) if model.geom_type[n] == 7)
-    vertices = model.mesh_vert @ data.geom_xmat[mesh].reshape(3, 3).T + data.geom_xpos[mesh]
-    corners = body.corners(["root"], posture)
-    assert np.sort(corners, axis=0) == pytest.approx(np.sort(vertices, axis=0), abs=1e-7)
-    capsule = next(n for n in range(model.ngeom) if model.geom_type[n] == 3)
-    axis = data.geom_xmat[capsule].reshape(3, 3)[:, 2]
-    along = body.corners(["twice"], posture) @ axis - data.geom_xpos[capsule] @ axis
-    assert np.abs([along.min(), along.max()]) == pytest.approx(model.geom_size[capsule][:2].sum(), abs=1e-6)
-    assert len(body.parts["body_3"]) == 1  # the cylinder is only seen
 
 
 def test_a_hand_in_the_style_of_menagerie_is_one_that_can_be_used(tmp_path):
