@@ -100,19 +100,6 @@ def test_the_index_says_what_is_known_of_each_run(runs, tmp_path: Path) -> None:
     assert set(index.split) == {"train", "test"}
 
 
-def test_the_tables_of_all_runs_are_read_as_one(runs, tmp_path) -> None:
-    export_dataset(runs, tmp_path / "out", "parquet")
-    table = pandas.read_parquet(tmp_path / "out" / "data")
-    assert set(zip(table.object, table.run, strict=True)) == {
-        (name, f"jaw-{name}-s{seed}") for name in OBJECTS for seed in (0, 1)
-    }
-
-
-def test_of_each_run_it_is_chosen_as_of_a_run_alone(runs, tmp_path: Path) -> None:
-    export_dataset(runs, tmp_path / "out", "csv", GraspChoice(min_fitness=2, top=1))
-    assert set(pandas.read_csv(tmp_path / "out" / "index.csv")["rows"]) == {1}
-
-
 def test_runs_that_cannot_be_read_are_left_out_and_named(runs, tmp_path: Path) -> None:
     (runs[0].path / "run.sqlite").write_bytes(b"no journal")
     said = export_dataset(runs, tmp_path / "out", "parquet")

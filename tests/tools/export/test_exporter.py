@@ -13,7 +13,6 @@ from typer.testing import CliRunner, Result
 import qdgrasp
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.storage.engine_table import write_table
-from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import SHAKES, TRIALS, Outcome, Rows
@@ -75,16 +74,6 @@ def test_under_physical_grasps_survived_every_push_unless_it_is_asked(make_run, 
     assert export_run(custom, out, "csv", force=True).startswith("1 grasp ")
     assert "\n# min_fitness: 2\n" in out.read_text()
     assert command(weak.path, "--format", "csv", "-o", out, "--min-fitness", 7).exit_code == 2
-
-
-def test_a_folder_that_is_no_run_or_has_no_scene_is_refused(run: RunFolder, tmp_path: Path) -> None:
-    job = JobFolder.create(tmp_path / "job", "job")
-    out = tmp_path / "out"
-    assert "no grasp to write" in refusal(job.path, "csv", out)
-    assert "holds no run" in refusal(tmp_path, "csv", out)
-    assert "There is no folder" in refusal(tmp_path / "none", "csv", out)
-    (run.path / "scene.bundle").unlink()
-    assert "scene.bundle cannot be read" in refusal(run.path, "csv", out)
 
 
 @pytest.mark.parametrize(

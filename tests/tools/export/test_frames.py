@@ -9,10 +9,6 @@ from qdgrasp_assets.grippers.gripper_file import OriginalBase
 from qdgrasp_assets.scene import Jaw, Scene
 from qdgrasp_tools.export.grasp_reader import scene_original_base
 from qdgrasp_tools.export.grasp_table import (
-    COM,
-    FRAMES,
-    MESH,
-    change_frame,
     from_matrices,
     jaw_turn,
     to_matrices,
@@ -32,16 +28,6 @@ def test_matrices_are_those_of_another_library_and_lead_back(poses: np.ndarray) 
     np.testing.assert_allclose(matrices[:, :3, :3], Rotation.from_quat(poses[:, 3:]).as_matrix(), atol=1e-14)
     np.testing.assert_array_equal(matrices[:, 3], np.tile([0, 0, 0, 1], (50, 1)))
     np.testing.assert_allclose(from_matrices(matrices), poses, atol=1e-14)
-
-
-def test_the_centre_of_mass_stands_where_the_mesh_has_it(poses: np.ndarray) -> None:
-    com = np.array([0.1, -0.2, 0.3])
-    at_com = np.zeros((1, 7))
-    np.testing.assert_array_equal(change_frame(at_com, com, COM, MESH)[0, :3], com)
-    for frame in FRAMES:
-        np.testing.assert_array_equal(change_frame(poses, com, frame, frame), poses)
-    there = change_frame(poses, com, COM, MESH)
-    np.testing.assert_allclose(change_frame(there, com, MESH, COM), poses, atol=1e-15)
 
 
 def test_a_scene_tells_the_original_base_link_of_a_hand_that_was_given_another(scene: Scene) -> None:

@@ -11,24 +11,19 @@ from scipy.spatial.transform import Rotation
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.catalog import find_gripper
-from qdgrasp_assets.scene import Scene
 from qdgrasp_assets.stand_ins import stand_in
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.rendering.drawings import (
-    MISSING_LETTER,
     draw_grasps,
     draw_gripper,
     draw_object,
-    figure_text,
     project_point,
 )
 from qdgrasp_tools.rendering.ray_renderer import fit_camera
 from qdgrasp_tools.rendering.views import (
-    CUT_OPEN_CELLS,
     LEAST_CUBE,
-    best_in_cells,
     view_of_cells,
     view_of_hands,
 )
@@ -54,7 +49,7 @@ def share_drawn(image: np.ndarray) -> float:
     return float((image[..., :3].min(axis=-1) < 0.99).mean())
 
 
-@pytest.mark.parametrize("outcomes", [[], [Outcome.OVERLAP], [Outcome.HELD], [Outcome.DROPPED] * 3])
+@pytest.mark.parametrize("outcomes", [[], [Outcome.DROPPED] * 3])
 def test_a_run_is_drawn_however_little_it_found(tmp_path: Path, outcomes: list[Outcome]) -> None:
     draw_grasps(made_scene(), rows_of(outcomes), tmp_path / "grasps.png", pixels=SMALL)
     assert share_drawn(matplotlib.image.imread(tmp_path / "grasps.png")) > 0.02
@@ -104,13 +99,6 @@ def test_views_beside_each_other_have_one_camera_and_are_cut_open_alike() -> Non
     assert alone.is_uncut
 
 
-def test_many_cells_are_cut_open_toward_the_viewer() -> None:
-    scene: Scene = made_scene()
-    assert len(shell(3)) < CUT_OPEN_CELLS < len(shell(1))
-    assert view_of_cells(scene, shell(3), 0.0, SMALL).is_uncut
-    assert not view_of_cells(scene, shell(1), 0.0, SMALL).is_uncut
-
-
 def test_around_an_object_of_a_metre_cells_are_drawn_in_blocks_that_are_seen() -> None:
     box = trimesh.creation.box((1.0, 0.6, 0.3))
     shape = {
@@ -131,12 +119,6 @@ def test_around_an_object_of_a_metre_cells_are_drawn_in_blocks_that_are_seen() -
     assert view_of_cells(small, rows[2:3], 0.3, 400).block == 1
 
 
-def test_a_cell_shows_its_fittest_success() -> None:
-    rows = rows_of([Outcome.DROPPED, Outcome.HELD, Outcome.SHAKEN, Outcome.DROPPED])
-    rows["descriptor"] = [[0.01, 0, 0], [0.012, 0, 0], [0.011, 0, 0], [0.05, 0, 0]]
-    assert best_in_cells(rows)["outcome"].tolist() == [Outcome.HELD, Outcome.DROPPED]
-
-
 def halves(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """The left and the right view of a portrait, without its words."""
     image = matplotlib.image.imread(path)[..., :3]
@@ -145,7 +127,7 @@ def halves(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return views[:, : columns // 2], views[:, columns // 2 :]
 
 
-@pytest.mark.parametrize("name", ["panda", "shadow"])
+@pytest.mark.parametrize("name", ["panda", "allegro"])
 def test_a_hand_is_drawn_open_and_closed(tmp_path: Path, name: str) -> None:
     draw_gripper(find_gripper(name).on_carrier("paper"), tmp_path / "hand.png")
     opened, closed = halves(tmp_path / "hand.png")
@@ -164,16 +146,11 @@ def test_an_object_is_drawn_with_its_parts_in_colours(tmp_path: Path) -> None:
     assert colourful(parts) > 10 * colourful(surface)
 
 
-@pytest.mark.parametrize("name", ["\u5341\u5b57", "price $5$", r"$\frac$", "\U0001f600", "a\tb"])
 @pytest.mark.filterwarnings("error")
-def test_any_name_is_drawn_and_nothing_is_complained_of(tmp_path: Path, name: str) -> None:
+def test_any_name_is_drawn_and_nothing_is_complained_of(tmp_path: Path) -> None:
+    name = "\u5341 $5$ $\\frac$ \U0001f600 a\tb"
     draw_object(replace(stand_in("mug"), name=name), tmp_path / "mug.png")
     assert share_drawn(halves(tmp_path / "mug.png")[0]) > 0.05
-
-
-def test_letters_that_the_font_lacks_are_boxes_and_others_stay() -> None:
-    assert figure_text("\u5341 caf\u00e9, 5 \u00b5m") == f"{MISSING_LETTER} caf\u00e9, 5 \u00b5m"
-    assert figure_text("a\nb") == "a\nb"
 
 
 def test_a_point_is_marked_where_the_camera_shows_it() -> None:

@@ -70,14 +70,6 @@ def test_a_window_holds_every_point_that_sees_the_mesh() -> None:
     assert set(np.flatnonzero(found >= 0)) == set(RayMesh(small).cast_from(view).pixels)
 
 
-def test_a_lid_shuts_out_the_light_above_and_no_other() -> None:
-    lid = RayMesh(box(0.06).moved((0.0, 0.0, 0.1)))
-    below, beside = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]], dtype=np.float32)
-    up = np.array([0.0, 0.0, 1.0], dtype=np.float32)
-    assert lid.is_lit_from(np.stack([below, beside]), up).tolist() == [False, True]
-    assert lid.is_lit_from(below[None], -up).tolist() == [True]
-
-
 def plate(height: float) -> Mesh:
     return box(0.1, 0.1, 0.002).moved((0.0, 0.0, height))
 
@@ -126,10 +118,6 @@ def half() -> np.ndarray:
     return np.full(RAYS_PER_PIXEL * RAYS_PER_PIXEL, 0.5, np.float32)
 
 
-def test_an_empty_image_is_white() -> None:
-    assert LayeredImage(FLAT_VIEW).composed().tolist() == [[[1.0, 1.0, 1.0]]]
-
-
 @pytest.mark.parametrize("order", [(1.0, 2.0), (2.0, 1.0)])
 def test_the_nearer_of_solids_is_seen_and_veils_lie_over_one_another_whatever_the_order(order) -> None:
     solid, veiled = LayeredImage(FLAT_VIEW), LayeredImage(FLAT_VIEW)
@@ -139,13 +127,6 @@ def test_the_nearer_of_solids_is_seen_and_veils_lie_over_one_another_whatever_th
         veiled.add_translucent(everywhere(depth), colour, half())
     assert solid.composed()[0, 0].tolist() == [1.0, 0.0, 0.0]
     assert veiled.composed()[0, 0].tolist() == [0.75, 0.25, 0.5]
-
-
-def test_a_veil_behind_a_solid_is_hidden() -> None:
-    image = LayeredImage(FLAT_VIEW)
-    image.add_translucent(everywhere(3.0), spread(BLUE), half())
-    image.add_solid(everywhere(2.0), spread(RED))
-    assert image.composed()[0, 0].tolist() == [1.0, 0.0, 0.0]
 
 
 def test_a_body_in_its_own_frame_is_seen_as_where_it_stands() -> None:

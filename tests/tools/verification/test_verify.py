@@ -19,12 +19,6 @@ from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_tools.local.supervisor import LocalJobConfig
 from qdgrasp_tools.verification import verify
-from qdgrasp_tools.verification.comparison import (
-    ComparedValues,
-    DifferentRow,
-    PlatformShare,
-    VerificationReport,
-)
 from qdgrasp_tools.verification.verify import (
     MOST_ROWS,
     ReevaluationQueue,
@@ -189,44 +183,3 @@ def test_what_differs_is_noted_by_row_and_column(folders: list[RunFolder]) -> No
     (different,) = found.different
     assert (different.number, list(different.columns)) == (int(lot.numbers[1]), ["fitness"])
     assert (dict(found.columns), sum(found.outcomes.values())) == ({"fitness": 1}, 3)
-
-
-def verified(**settings: object) -> VerificationReport:
-    values = {
-        "rows": 2, "same": 2, "runs": 1, "outcomes": {"held": 1, "dead_end": 1}, "different": [],
-        "columns": {}, "platform": {"numpy": "2"}, "origins": [],
-    }  # fmt: skip
-    return VerificationReport(**values | settings)
-
-
-def test_rows_that_are_the_same_are_told_with_how_they_ended() -> None:
-    told = verified(origins=[PlatformShare(rows=2, platform={"numpy": "2"}, differences="")])
-    assert told.is_same
-    assert told.table == "2 of 2 rows the same: 1 held, 1 dead end\n2 of them were made on this platform"
-
-
-def test_rows_of_a_gpu_are_said_to_have_no_fixed_bits() -> None:
-    platforms = {"NVIDIA H100 90": "; on a GPU rows have no fixed bits", "CPU": ""}
-    for device, words in platforms.items():
-        origin = PlatformShare(rows=2, platform={"warp_device": device}, differences="")
-        assert origin.words == f"this platform{words}"
-
-
-def test_rows_that_differ_are_told_one_by_one_with_the_platform() -> None:
-    different = DifferentRow(
-        folder="runs/mug", number=7, trial=0,
-        columns={"fitness": ComparedValues(recorded="2.0", now="1.0")}, reason="",
-    )  # fmt: skip
-    origins = [
-        PlatformShare(rows=1, platform={"numpy": "1"}, differences="numpy 2 instead of 1"),
-        PlatformShare(rows=1, platform={}, differences="numpy 2 instead of absent"),
-    ]
-    told = verified(same=1, different=[different], columns={"fitness": 1}, origins=origins)
-    assert not told.is_same
-    assert told.table.splitlines() == [
-        "row 7 of runs/mug, trial 0: fitness 1.0 instead of 2.0",
-        "columns that differ: fitness in 1 row",
-        "1 of 2 rows the same: 1 held, 1 dead end",
-        "1 of them were made on another platform; here is numpy 2 instead of 1",
-        "1 of them were made on a platform that is not recorded",
-    ]
