@@ -5,7 +5,6 @@ Mesh files are checked before anything is begun, so that all faults are named at
 
 import hashlib
 import itertools
-import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -83,8 +82,7 @@ ADAPTIVE_BUDGET = {"evaluations": 20_000, "saturation": SATURATION}
 """Budget and saturation of a campaign with a target of grasps, unless it says others."""
 LONGEST_NAME = 64
 LARGEST_CAMPAIGN = 64 << 20  # Most characters of a campaign's file; 100 000 objects have 30 million
-CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects", "shard"})
-SHARD = re.compile(r"([1-9]\d{0,3})/([1-9]\d{0,3})")  # Share of a campaign's runs: which of how many
+CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects"})
 
 
 ObjectValues = Mapping[str, Mapping[str, Any]]
@@ -132,22 +130,19 @@ def read_campaign(
     here: bool = True,
     goals: Mapping[str, float | None] = MappingProxyType({}),
     rules: LibraryRules = NO_RULES,
-    shard: str | None = None,
     tell: Tell = ignore_progress,
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
     `here` checks that its grippers and objects are on this machine; `goals` are values of a spec's keys that
     end runs, in place of the file's defaults, before which `ADAPTIVE_BUDGET` holds if grasps are among them;
-    `rules` are for the libraries that it names as objects;
-    `shard` is the share of its runs that is meant, as "2/4"; None: what the file says, or all. `tell` is
-    called before each mesh is checked. Raises InputError if the file is missing, is not TOML, or asks for a
-    run that is not possible; the run is named.
+    `rules` are for the libraries that it names as objects. `tell` is called before each mesh is checked.
+    Raises InputError if the file is missing, is not TOML, or asks for a run that is not possible; the run is
+    named.
     """
     source = read_run_spec(path, LARGEST_CAMPAIGN)
     _check_tables(source, str(path))
     source["defaults"] = _with_goals(source.get("defaults", {}), goals)
-    source |= {} if shard is None else {"shard": shard}
     source, skipped = _with_libraries(source, rules, tell) if here else (source, None)
     return replace(make_campaign(source, str(path), here=here), skipped=skipped)
 
@@ -213,7 +208,6 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
                 f"{where} asks for run '{name}' twice, with different values; let each run differ in its "
                 "gripper, object, method or seed, or in a key of its spec that does not say when it ends."
             )
-    shard = source.get("shard")
     used = {spec.object for spec in runs.values()}
     for name in objects:
         if name not in used:
@@ -221,34 +215,11 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
                 f"{where} says what is known of '{name}', which no run grasps; name it as `object` of a "
                 "[[cross]], in the same words."
             )
-    if shard is not None:
-        runs = _share_of(runs, shard, where)
     if here:
         _check_assets(runs.values())
     said = {key: value for key, value in defaults.items() if value is not None}
-    resolved = {} if shard is None else {"shard": shard}
-    resolved |= {"defaults": said, "cross": crosses} | ({"objects": objects} if objects else {})
+    resolved = {"defaults": said, "cross": crosses} | ({"objects": objects} if objects else {})
     return Campaign(runs, resolved, tuple(assets.stand_ins))
-
-
-def _share_of(runs: Mapping[str, RunSpec], shard: str, where: str) -> dict[str, RunSpec]:
-    """Return the runs of a share, by the digests of their names.
-
-    Every run is in one share of so many.
-    """
-    match = SHARD.fullmatch(shard)
-    part, parts = (int(match[1]), int(match[2])) if match else (1, 0)
-    if part > parts:
-        raise ImpossibleValue(
-            f"{where}: shard", shard, "a share of so many, such as '2/4' for the second of four"
-        )
-    digests = {name: int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]) for name in runs}
-    share = {name: spec for name, spec in runs.items() if digests[name] % parts == part - 1}
-    if not share:
-        raise InputError(
-            f"{where}: none of its {counted(len(runs), 'run')} is in the share {shard}; take fewer shares."
-        )
-    return share
 
 
 def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
@@ -330,7 +301,6 @@ class CampaignTables(Struct, forbid_unknown_fields=True):
     defaults: dict[str, Any] = {}
     objects: dict[str, dict[str, Any]] = {}
     prefer_scans: bool = False
-    shard: str | None = None
 
 
 def _check_tables(source: dict[str, Any], where: str) -> None:
@@ -385,12 +355,11 @@ def campaign_of_meshes(
     rules: LibraryRules,
     values: Mapping[str, Any],
     *,
-    shard: str | None = None,
     tell: Tell = ignore_progress,
 ) -> Campaign:
     """Make the campaign of all objects of a library: a manifest, or a folder of meshes.
 
-    `shard` and `tell` are those of `read_campaign`.
+    `tell` is that of `read_campaign`.
     `values` are values or lists of keys of a spec, crossed as in a campaign's file; None: not given. Raises
     InputError as `read_library`, or for a run that is not possible.
     """
@@ -401,7 +370,6 @@ def campaign_of_meshes(
         "cross": [cross | {"object": list(library.objects)}],
         "objects": library.objects,
     }
-    source |= {} if shard is None else {"shard": shard}
     campaign = make_campaign(source, f"campaign of {where}")
     return replace(campaign, skipped=library.skipped)
 

@@ -64,10 +64,6 @@ def campaign(
         list[str] | None, typer.Option(help="For meshes: search method; may be repeated.")
     ] = None,
     seed: Annotated[list[int] | None, typer.Option(help="For meshes: may be repeated; default 0.")] = None,
-    shard: Annotated[
-        str | None,
-        typer.Option(metavar="I/N", help="Only the runs of the I-th of N shares, as a separate job."),
-    ] = None,
     out: Annotated[Path | None, typer.Option(help="The campaign's folder; default runs/FILE.")] = None,
     seconds: options.Seconds = None,
     workers: options.Workers = None,
@@ -90,8 +86,6 @@ def campaign(
     and take the options for meshes and all keys of a spec. With --skip-unusable the folder's skipped.csv
     names what is left out; see docs/objects.md.
 
-    --shard shares the runs among several coordinators, each with a job and a folder, runs/FILE-IofN.
-
     Example: qdgrasp campaign deploy/campaigns/paper-small.toml --out runs/paper-small
 
     Example: qdgrasp campaign --gripper panda --objects parts --units mm --density 1200 --out runs/parts
@@ -102,7 +96,7 @@ def campaign(
         if objects is not None:
             raise InputError(f"'{what}' is a manifest, and --objects is a library too: give one of them.")
         what, objects = None, what
-    path = _campaign_folder(what, objects, out, shard)
+    path = _campaign_folder(what, objects, out)
     with progress_messages() as tell:
         if objects is not None:
             if what is not None:
@@ -114,7 +108,7 @@ def campaign(
                 skip_unusable=skip_unusable,
             )  # fmt: skip
             values = keys | crossed | goals
-            asked = campaign_of_meshes(objects, rules, values, shard=shard, tell=tell)
+            asked = campaign_of_meshes(objects, rules, values, tell=tell)
         elif flags := keys | crossed | options.given(mass=mass, density=density):
             raise InputError(
                 f"{next(iter(flags))} goes with --objects DIR or a manifest: a campaign's file says its "
@@ -129,7 +123,6 @@ def campaign(
                 open_campaign(what).path / CAMPAIGN if what.is_dir() else what,
                 goals=goals,
                 rules=LibraryRules(skip_unusable=skip_unusable),
-                shard=shard,
                 tell=tell,
             )
     if list_runs:
@@ -157,12 +150,9 @@ def campaign(
     print_summary(folder, asked, is_timed=seconds is not None)
 
 
-def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None, shard: str | None) -> Path:
+def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) -> Path:
     if what is None or not what.is_dir():
-        share = f"-{shard.replace('/', 'of')}" if shard else ""
-        return out or Path("runs") / ((what or objects or Path()).absolute().stem + share)
-    if shard is not None:
-        raise InputError(f"{what} is a campaign's folder, whose share is decided; leave --shard out.")
+        return out or Path("runs") / (what or objects or Path()).absolute().stem
     if out is not None:
         raise InputError(f"{what} is a campaign's folder, and continues where it is; leave --out out.")
     return what

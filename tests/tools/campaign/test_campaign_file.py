@@ -110,27 +110,6 @@ class TestCrossing:
         assert spec.in_flight == 100
 
 
-FORTY = {"defaults": {"gripper": "panda", "object": "mug"}, "cross": [{"seed": list(range(40))}]}
-
-
-class TestShares:
-    """Campaigns of which several coordinators carry out a share each."""
-
-    def test_every_run_is_in_one_share_and_is_the_run_of_the_whole(self, tmp_path: Path) -> None:
-        file = tmp_path / "c.toml"
-        file.write_text(tomli_w.dumps(FORTY))
-        whole = read_campaign(file).runs
-        shares = [read_campaign(file, shard=f"{n}/3").runs for n in (1, 2, 3)]
-        assert sorted(name for share in shares for name in share) == sorted(whole)
-        assert all(whole[name] == spec for share in shares for name, spec in share.items())
-        assert min(map(len, shares)) > 5
-
-    @pytest.mark.parametrize("shard", ["0/3", "4/3", "1", "1/0", "a/b", "-1/3"])
-    def test_a_share_that_is_none_is_refused(self, shard: Any) -> None:
-        with pytest.raises(ImpossibleValue, match="shard must be a share of so many, such as '2/4'"):
-            make_campaign(FORTY | {"shard": shard}, "c.toml")
-
-
 class TestObjectives:
     """`aim_for` of runs whose method has an objective."""
 
