@@ -2,7 +2,6 @@ import subprocess
 import sys
 
 import pytest
-import trimesh
 
 from qdgrasp_assets.catalog import (
     build_scene,
@@ -50,19 +49,6 @@ def test_mass_and_friction_of_the_spec_win():
     plain = scene().object
     assert (plain.mass, plain.lateral_friction) == (0.118, 0.5)
     assert (plain.rolling_friction, plain.spinning_friction) == (0.01, 0.1)
-
-
-def test_a_scale_is_that_of_the_mesh_file_and_told_by_the_scene(tmp_path):
-    path = tmp_path / "bar.stl"
-    trimesh.creation.box((20, 20, 100)).apply_translation((300, 100, 50)).export(path)
-    made = scene(object=str(path), mass=0.3, scale=0.001)
-    assert made.object.source == "bar.stl (scale 0.001)"
-    assert made.object.com_in_mesh == pytest.approx((0.3, 0.1, 0.05), abs=1e-6)
-    assert made.object_high == pytest.approx((0.01, 0.01, 0.05), abs=1e-6)
-    same = tmp_path / "metres" / "bar.stl"
-    same.parent.mkdir()
-    trimesh.creation.box((0.02, 0.02, 0.1)).export(same)
-    assert scene(object=str(same), mass=0.3).object.source == "bar.stl"
 
 
 def test_an_object_of_the_catalog_has_its_own_size():

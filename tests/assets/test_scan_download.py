@@ -8,10 +8,7 @@ import trimesh
 from tests.assets.file_server import claims, cut, fails, served
 
 from qdgrasp_assets import asset_paths, ycb
-from qdgrasp_assets.asset_report import check
-from qdgrasp_assets.geometry import collision_parts
 from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_assets.object_model import read_solid
 from qdgrasp_assets.ycb import SCANS
 from qdgrasp_protocol.errors import AssetError
 
@@ -146,33 +143,6 @@ def test_a_fetched_scan_has_the_constants_of_the_set_and_its_own_parts_but_not_t
     sentence = r"'released' needs the collision hulls .*'ycb_rubiks_cube' does not have"
     with pytest.raises(AssetError, match=sentence):
         ycb.read_scan(NAME, "released")
-
-
-def test_a_fetched_scan_that_is_not_convex_is_decomposed(site, monkeypatch):
-    ring = trimesh.creation.annulus(0.01, 0.02, 0.02)
-    monkeypatch.setitem(SCANS, NAME, ycb.Scan(archive=ARCHIVE, member=MEMBER, **of(ring)))
-    site.content = tgz(ply(ring))
-    bring(site)
-    assert collision_parts.known_parts(ycb.read_fetched(NAME)) is None
-    assert any("not found yet" in fact for fact in check(NAME).facts)
-    target = ycb.read_scan(NAME, "paper")
-    assert target.collision_source == "coacd"
-    assert len(target.parts) > 3
-    assert any(f"{len(target.parts)} convex parts" in fact for fact in check(NAME).facts)
-
-
-def test_a_real_scan_comes_out_of_its_archive_as_it_is_in_the_reference_data(
-    site, reference_data, monkeypatch
-):
-    name = "ycb_chips_can"
-    scan = SCANS[name]
-    reference = read_solid(reference_data / "objects/chips_can/mesh.obj")
-    raw = trimesh.Trimesh(reference.vertices, reference.faces[:, ::-1], process=False)
-    site.content = tgz(ply(raw), scan.member)
-    bring(site, name)
-    mesh = ycb.read_fetched(name)
-    assert mesh.bounds[0] == pytest.approx(reference.bounds[0], abs=1e-7)
-    assert mesh.volume == pytest.approx(reference.volume, rel=1e-5)
 
 
 @pytest.mark.parametrize("behaviour", [cut(100), fails(404), claims(1 << 40)])

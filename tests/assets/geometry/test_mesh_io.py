@@ -1,9 +1,7 @@
 """Reading and writing mesh files."""
 
 import json
-import os
 import re
-from pathlib import Path
 
 import pytest
 import trimesh
@@ -12,14 +10,12 @@ from tests.assets.special_files import PLACES, make_places
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.geometry.mesh import box
 from qdgrasp_assets.geometry.mesh_io import (
-    LARGEST_FILE,
     WRITABLE_FORMATS,
-    linked_files,
     read_mesh_file,
     scale_of,
     to_bytes,
 )
-from qdgrasp_assets.object_model import check_mesh, read_draft, read_solid
+from qdgrasp_assets.object_model import read_draft, read_solid
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
@@ -80,14 +76,6 @@ def test_what_is_written_is_read_again(tmp_path, suffix):
     assert draft.mesh.extents == pytest.approx(BLOCK)
 
 
-def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
-    part = tmp_path / "part.stl"
-    part.touch()
-    os.truncate(part, LARGEST_FILE + 1)
-    with pytest.raises(AssetError, match=r"part\.stl' has 1073741825 bytes, and at most 1 GiB are read"):
-        read_mesh_file(part)
-
-
 IMPOSSIBLE = r"--units must be a number greater than 0 and at most 1000000 .*got"
 
 
@@ -130,14 +118,3 @@ def test_a_pipe_in_the_place_of_a_buffer_is_not_waited_for(tmp_path):
     sentence = r"'pipe\.stl', which it names, is no ordinary file; export it again"
     with pytest.raises(AssetError, match=sentence):
         read_mesh_file(buffered(tmp_path, "pipe.stl"))
-
-
-def test_files_beside_a_gltf_are_part_of_its_content(tmp_path, monkeypatch):
-    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
-    for name, content in trimesh.exchange.gltf.export_gltf(trimesh.creation.box(BLOCK).scene()).items():
-        (tmp_path / name).write_bytes(content)
-    file = tmp_path / "model.gltf"
-    assert not check_mesh(file).faults
-    for other in linked_files(file):
-        other.unlink()
-    assert check_mesh(file).faults

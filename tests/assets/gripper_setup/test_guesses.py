@@ -88,12 +88,3 @@ def test_joints_are_told_not_to_close(guess):
     (warning,) = (words for words in found.warnings if "nothing closes the finger" in words)
     assert "'right_finger'" in warning
     assert "--finger LINK" in warning
-
-
-def test_fingers_are_told_by_their_first_links(guess):
-    found = guess(synthetic_hands.HALVED_HAND, finger_roots=("one_root", "thumb_root"))
-    assert found.closing == {"one_bend", "one_curl", "one_tip", "thumb_curl", "thumb_tip"}
-    assert set(found.file.finger_links) == {
-        *(f"one_{part}" for part in ("root", "low", "mid", "end")),
-        *(f"thumb_{part}" for part in ("root", "low", "end")),
-    }
