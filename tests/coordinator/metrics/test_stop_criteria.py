@@ -41,6 +41,22 @@ def test_a_run_ends_with_the_same_row_whatever_the_order_of_arrival(plan: Plan) 
     )
 
 
+@pytest.mark.parametrize("plan", PLANS, ids=str)
+def test_a_run_ends_with_the_very_row_that_reaches_its_goal(plan: Plan) -> None:
+    rows = rows_in(reference(plan))
+    rows = rows[rows["trial"] == 0]
+    if plan.successes or plan.grasps:
+        least = Outcome.DROPPED if plan.successes else Outcome.SHAKEN
+        assert np.count_nonzero(rows["outcome"] >= least) == (plan.successes or plan.grasps)
+        assert rows["outcome"][-1] >= least
+    if plan.no_new_cell:
+        found = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)
+        _, firsts = np.unique(np.sign(rows["descriptor"][found]), axis=0, return_index=True)
+        since = rows[max(found[firsts], default=-1) + 1 :]
+        counts = since["outcome"] >= (Outcome.MISSED if plan.overlaps == "redraw" else Outcome.ERROR)
+        assert (counts.sum(), counts[-1]) == (plan.no_new_cell, True)
+
+
 some_plans = pytest.mark.parametrize(
     "plan",
     [pytest.param(plan, marks=pytest.mark.slow if plan.population == 1 else ()) for plan in PLANS[::5]],

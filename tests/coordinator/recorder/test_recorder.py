@@ -129,14 +129,6 @@ class TestOpening:
                 if epoch == 1:
                     record(recorder, "a", 30, HERE)
 
-    def test_an_epoch_that_is_ahead_of_the_disk_is_adopted(self, path: Path) -> None:
-        with recording(path) as recorder:
-            assert recorder.open(ask("a", epoch=7)).epoch == 7
-        with recording(path) as recorder:
-            assert recorder.open(ask("b", epoch=9)).epoch == 9
-            assert recorder.open(ask("b")).epoch == 10
-        assert JobFolder.open(path).epoch == 10
-
     def test_a_new_epoch_finds_what_waited_in_the_one_before_on_the_disk(self, recorder) -> None:
         recorder.open(ask("a", "b"))
         recorder.add_rows(rows("a", 0, 10), 0.0)
@@ -172,15 +164,6 @@ class TestOpening:
             recorder.open(ask("b", "c"))
         assert not (path / "runs" / "b").exists()
         assert JobFolder.open(path).epoch == 1
-
-    def test_a_run_of_its_own_is_never_mixed_with_others(self, path: Path) -> None:
-        RunFolder.create(path, SPEC, BUNDLE, job=JOB)
-        with (
-            recording(path) as recorder,
-            pytest.raises(Refused, match="run of its own, the coordinator opens a ca"),
-        ):
-            recorder.open(ask("a"))
-        assert not (path / "runs").exists()
 
     def test_runs_that_a_coordinator_began_on_this_machine_are_gone_on_with(self, path: Path) -> None:
         RunFolder.add(JobFolder.create(path, JOB, {"campaign.toml": b""}), "a", SPEC, BUNDLE)
@@ -301,12 +284,6 @@ class TestFinishedRuns:
         index.refresh()
         known = index.find(path / "runs" / run, spec)
         return known.evaluations if known else None
-
-    def test_a_run_is_in_the_index_once_its_last_row_is_on_the_disk(self, path, recorder) -> None:
-        recorder.open(ask("a", "b", spec=self.SHORT))
-        for run, stop in (("a", 30), ("b", 29)):
-            record(recorder, run, stop, HERE)
-        assert [self.finished(path, run, self.SHORT) for run in ("a", "b")] == [30, None]
 
     def test_a_run_whose_end_is_put_off_is_not_in_the_index_before_that_end(self, path, recorder) -> None:
         longer = msgspec.structs.replace(SPEC, evaluations=40)

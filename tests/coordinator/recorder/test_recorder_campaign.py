@@ -17,7 +17,7 @@ from tests.fakes.recorder import (
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.bus import Query, answer_chunk
-from qdgrasp_protocol.errors import DiskFull, Refused
+from qdgrasp_protocol.errors import DiskFull
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Opened, Platform
 
@@ -42,22 +42,6 @@ def send_in_turns(coordinator: FakeCoordinator, runs: str, stop: int, first: int
             coordinator.send(ROWS, begin, begin + 100, run=run)
 
 
-def test_rows_of_several_runs_become_durable_each_in_its_own_journal(network, coordinator, path) -> None:
-    with recording(network, path):
-        opened = anonymous(coordinator.open_runs("a", "b", "c"))
-        assert opened == Opened(epoch=1, durable=[0, 0, 0], platform={})
-        send_in_turns(coordinator, "abc", 1000)
-        for first in (1000, 2000):
-            coordinator.send(ROWS, first, first + 1000, run="b", cpu_seconds=2.5)
-        for run, stop in (("a", 1000), ("b", 3000), ("c", 1000)):
-            coordinator.hears_durable(stop, run)
-            assert coordinator.page(500, 4096, run).rows.tobytes() == ROWS[500:stop].tobytes()
-            assert len(coordinator.page(stop, 10, run)) == 0
-    assert recorded(path, "b") == ROWS.tobytes()
-    with RunFolder.open(path / "runs" / "b").journal() as journal:
-        assert journal.cpu_seconds == pytest.approx(5.0)
-
-
 def test_a_recorder_that_comes_back_in_the_middle_goes_on_with_every_run(network, coordinator, path) -> None:
     with recording(network, path):
         coordinator.open_runs("a", "b")
@@ -71,21 +55,6 @@ def test_a_recorder_that_comes_back_in_the_middle_goes_on_with_every_run(network
         opened = anonymous(coordinator.open_runs("c", "a", epoch=1))
         assert opened == Opened(epoch=1, durable=[0, 1000], platform={"pybullet": "3.2.7"})
     assert recorded(path, "a") == recorded(path, "b") == ROWS[:1000].tobytes()
-
-
-def test_a_replaced_coordinators_rows_are_refused_for_one_run_as_for_all(network, coordinator, path) -> None:
-    with recording(network, path):
-        coordinator.open_runs("a", "b")
-        assert coordinator.open_runs("a").epoch == 2
-        coordinator.send(ROWS, 0, 10, run="b", epoch=1)
-        report = coordinator.hears(lambda report: report.run == "b" and report.epoch == 2)
-        assert report.durable == 0
-        coordinator.send(ROWS, 0, 5, run="a")
-        coordinator.send(ROWS, 0, 20, run="b")
-        coordinator.hears_durable(5, "a")
-        coordinator.hears_durable(20, "b")
-        with pytest.raises(Refused, match="epoch 1 is over"):
-            coordinator.open_runs("c", epoch=1)
 
 
 def test_scenes_that_are_missing_are_fetched_for_all_runs(network, coordinator, path) -> None:

@@ -91,16 +91,3 @@ def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(endpoint, ro
         assert journal.count == durable
         assert journal.rows(0, 4096).tobytes() == rows[: min(durable, 4096)].tobytes()
         assert len(journal_digest(journal)) == 64
-
-
-def test_a_log_on_a_full_disk_changes_nothing(endpoint: str, router: ZenohBus, folder: RunFolder) -> None:
-    coordinator = FakeCoordinator(router)
-    with Path("/dev/full").open("wb") as full:
-        with recorder(endpoint, folder.path, stderr=full) as process:
-            coordinator.open()
-            coordinator.send(make_rows(10), 0, 10)
-            coordinator.hears_durable(10)
-            process.terminate()
-            assert process.wait(PATIENCE) == 143
-        with folder.job.lock(), recorder(endpoint, folder.path, stderr=full) as process:
-            assert process.wait(PATIENCE) == 2

@@ -46,17 +46,6 @@ class TestOpening:
                     coordinator.open("gripper = 'a'\nobject = 'b'\nsed = 1")
         assert folder.job.epoch == 1
 
-    def test_a_recorder_elsewhere_begins_the_folder_and_fetches_the_scene(
-        self, network: MemoryNetwork, coordinator: FakeCoordinator, tmp_path: Path
-    ) -> None:
-        with network.session() as bus, recording(network, tmp_path / "new"):
-            show_scene(bus)
-            coordinator.open()
-            folder = RunFolder.open(tmp_path / "new")
-            wait_for(folder.has_bundle)
-        assert folder.bundle() == BUNDLE
-        assert (folder.spec, folder.job.name, folder.job.epoch) == (SPEC, JOB, 1)
-
     def test_a_coordinator_that_is_slow_to_show_its_scene_keeps_no_row_waiting_and_no_recorder_from_ending(
         self,
         network: MemoryNetwork,
@@ -111,15 +100,6 @@ class TestRecording:
             coordinator.send(rows, 0, 3, failures=(Failure(row=3, reason="behind the end"),))
             coordinator.send(rows, 0, 10)
             coordinator.hears_durable(10)
-
-    def test_reasons_of_errors_are_recorded_and_replayed(self, network, coordinator, folder) -> None:
-        rows, failures = make_rows(10), (Failure(row=1, reason="the child aborted"),)
-        with recording(network, folder.path):
-            coordinator.open()
-            coordinator.send(rows, 0, 4)
-            coordinator.send(rows, 4, 10, failures=failures)
-            coordinator.hears_durable(10)
-            assert coordinator.page(5, 3).failures == (Failure(row=0, reason="the child aborted"),)
 
     def test_the_platform_reaches_a_recorder_that_was_away_when_it_became_known(self, network, folder):
         link, run = RecorderClient(network.session(), JOB, SHAPE), FakeCoordinator(network.session())

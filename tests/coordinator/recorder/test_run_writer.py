@@ -1,14 +1,9 @@
-from math import inf
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.simulation.recorder import FOLDER, MemoryDisk, MemoryRunFolder
 
 from qdgrasp_coordinator.recorder.run_writer import (
-    GROUP_ROWS,
-    GROUP_SECONDS,
-    MOST_WAITING,
     Arrival,
     RunWriter,
 )
@@ -49,30 +44,6 @@ def test_a_replaced_coordinator_is_refused_and_a_newer_one_adopted() -> None:
     assert writer.add(part(1, 2), 3, 0.0) is Arrival.STALE
     writer.commit({})
     assert writer.journal.epochs == [5]
-
-
-def test_a_group_is_due_when_its_first_row_has_waited_long_enough() -> None:
-    writer = make_writer(epoch=1, durable=0)
-    assert writer.deadline == inf
-    writer.add(part(0, 1), 1, 100.0)
-    writer.add(part(1, 2), 1, 100.2)
-    assert writer.deadline == 100.0 + GROUP_SECONDS
-    writer.commit({})
-    assert (writer.durable, writer.deadline, commit(writer)) == (2, inf, [])
-
-
-def test_a_large_group_is_due_at_once() -> None:
-    writer = make_writer(epoch=1, durable=7)
-    writer.add(part(7, 7 + GROUP_ROWS), 1, 100.0)
-    assert writer.deadline == -inf
-
-
-def test_no_more_rows_wait_than_there_is_room_for() -> None:
-    writer = make_writer(epoch=1, durable=0)
-    assert writer.add(part(0, MOST_WAITING), 1, 0.0) is Arrival.TAKEN
-    assert writer.add(part(MOST_WAITING, MOST_WAITING + 1), 1, 0.0) is Arrival.FULL
-    writer.commit({})
-    assert writer.add(part(MOST_WAITING, MOST_WAITING + 1), 1, 0.0) is Arrival.TAKEN
 
 
 @given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 40), st.booleans())))

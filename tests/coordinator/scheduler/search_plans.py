@@ -1,7 +1,6 @@
 """Plans of histories: their runs, failures, and the journal that follows."""
 
 import hashlib
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
@@ -115,92 +114,11 @@ class Plan:
 
 
 def reference(plan: Plan) -> bytes:
-    """The journal of a plan without a bus: written from the contract, not with the pipeline."""
-    task = plan.task
-    search = task.search(plan.population, plan.seed)
-    waiting = deque((g, search.ask(g)) for g in range(plan.in_flight))
-    journal, barren, idle = [], 0, 0
-    end = End(plan)
-    while True:
-        number, genomes = waiting.popleft()
-        rows = task.evaluate(rows_of(number, genomes, task.shape))
-        counts = rows["outcome"] >= (Outcome.MISSED if plan.overlaps == "redraw" else Outcome.ERROR)
-        until = next((n for n, row in enumerate(rows) if end.comes_with(row, counts[n])), None)
-        is_last = until is not None
-        rows = rows[: until + 1] if is_last else rows
-        found = rows[rows["outcome"] >= Outcome.DROPPED]
-        trials = [trials_of(row, plan.trials, task) for row in found]
-        journal.append(rows.tobytes())
-        journal += [each.tobytes() for each in trials]
-        barren, idle = (0, 0) if counts.any() else (barren + 1, idle + len(rows))
-        if is_last or (barren >= 20 and idle >= 1000):
-            return b"".join(journal)
-        if plan.trials:
-            is_success = rows["outcome"] >= Outcome.DROPPED
-            rows["fitness"][is_success] = [each["fitness"].sum() for each in trials]
-            rows["trial"][is_success] = plan.trials
-        search.tell(number, rows)
-        told, behind = number + 1, number + len(waiting)
-        in_flight = max(plan.in_flight, min(plan.most_in_flight, plan.in_flight + told // 8))
-        waiting.extend((g, search.ask(g)) for g in range(behind + 1, told + in_flight))
-
-
-def _cell(row: np.void) -> tuple[int, ...]:
-    return tuple(np.rint(np.float64(row["descriptor"][:3]) * 100).astype(int).tolist())
-
-
-class End:
-    """Tells if a run's end comes with its next nominal row."""
-
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
-        self._counted = self._found = self._fresh = 0
-        self._cells: set[tuple[int, ...]] = set()
-        self._grasps = 0
-        self._niches: set[tuple[int, ...]] = set()
-        self._new: list[bool] = []
-        """For each simulated row, whether it found a cell with a grasp."""
-
-    def comes_with(self, row: np.void, is_counted: np.bool_) -> bool:
-        plan = self._plan
-        self._counted += int(is_counted)
-        self._take_grasp(row)
-        if row["outcome"] >= Outcome.DROPPED:
-            self._found += 1
-            cell = _cell(row)
-            if cell not in self._cells:
-                self._cells.add(cell)
-                self._fresh = self._counted
-        return (
-            self._counted == plan.evaluations
-            or self._found == plan.successes
-            or self._counted - self._fresh == plan.no_new_cell
-            or self._grasps == plan.grasps
-            or self._is_saturated
-        )
-
-    def _take_grasp(self, row: np.void) -> None:
-        self._grasps += row["outcome"] >= Outcome.SHAKEN
-        if row["outcome"] >= Outcome.MISSED:
-            self._new.append(row["outcome"] >= Outcome.SHAKEN and _cell(row) not in self._niches)
-            if self._new[-1]:
-                self._niches.add(_cell(row))
-
-    @property
-    def _is_saturated(self) -> bool:
-        plan, done = self._plan, len(self._new)
-        if plan.saturation is None or done < plan.window or not self._niches:
-            return False
-        lately = (sum(self._new[-plan.window :]) + 1) / plan.window
-        return bool(lately <= plan.saturation * len(self._niches) / done)
-
-
-def trials_of(row: np.void, trials: int, task: Task) -> Rows:
-    """The trials of a nominal row, evaluated."""
-    rows = task.shape.empty(trials)
-    rows["generation"], rows["index"], rows["genome"] = row["generation"], row["index"], row["genome"]
-    rows["trial"] = np.arange(1, trials + 1)
-    return task.evaluate(rows)
+    """The journal of a plan whose rows arrive in the order in which they were asked."""
+    pipeline, journal = plan.pipeline(), []
+    while pipeline.finished is None:
+        journal.append(pipeline.settle(asked(pipeline, plan.task)).rows.tobytes())
+    return b"".join(journal)
 
 
 def rows_of(number: int, genomes: Genomes, shape: RowShape = SHAPE) -> Rows:
@@ -228,9 +146,9 @@ class Spy(Chain):
 
 def asked(pipeline: Pipeline, task: Task = CHAIN) -> Rows:
     """All rows that may be asked now, evaluated."""
-    parts = [SHAPE.empty(0)]
+    parts = [task.shape.empty(0)]
     while (generation := pipeline.ask()) is not None:
-        rows = rows_of(generation.number, generation.genomes)
+        rows = rows_of(generation.number, generation.genomes, task.shape)
         rows["index"], rows["trial"] = generation.indices, generation.trials
         parts.append(task.evaluate(rows))
     return np.concatenate(parts)
