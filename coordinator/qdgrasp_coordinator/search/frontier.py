@@ -210,8 +210,6 @@ RANK_NOISE = 3.0
 It is large enough that a dropped success is followed now and then where a held one is near, and that equals
 are all followed in turn.
 """
-NO_SLOT = -1  # The slot of a place without an elite
-FIRST_CAPACITY = 256  # Initial capacity for elites; it doubles as needed
 
 
 class EliteStore:
@@ -222,14 +220,19 @@ class EliteStore:
 
     def __init__(self, places: int, axis: Vector, posture: int) -> None:
         self._axis = np.array([axis], dtype=np.float64)
-        self._slots = np.full(places, NO_SLOT, np.int32)
         vectors = [("point", "f8", (3,)), ("aside", "f8", (3,)), ("posture", "f4", (posture,))]
-        self._kept = np.zeros(FIRST_CAPACITY, [("rank", "f8"), *vectors])
-        self._size = 0
+        self._kept = self._room(places, np.dtype([("rank", "f8"), *vectors]))
+
+    @staticmethod
+    def _room(places: int, kind: "np.dtype[np.void]") -> NDArray[np.void]:
+        """Room for the elites of so many places, which have none."""
+        room = np.zeros(places, kind)
+        room["rank"] = -1.0
+        return room
 
     def __len__(self) -> int:
         """Return the number of places that have an elite."""
-        return self._size
+        return int(np.count_nonzero(self._kept["rank"] >= 0))
 
     def offer(self, places: Places, rows: Rows, ranks: Floats) -> None:
         """Offer the successes `rows` (n,), elder ones first, found in `places` (n,).
@@ -240,7 +243,7 @@ class EliteStore:
         _, first = np.unique(places[best_first], return_index=True)
         best = best_first[first]  # the best row of each distinct place, of ties the first
         best = best[ranks[best] > self.ranks(places[best])]
-        self._keep(self._slots_for(places[best]), rows[best], ranks[best])
+        self._keep(places[best], rows[best], ranks[best])
 
     def points(self, places: Places) -> Floats:
         """The surface points (n, 3) [m] that the grasps at `places` (n,) look at."""
@@ -262,8 +265,8 @@ class EliteStore:
 
     def ranks(self, places: Places) -> Floats:
         """Return ranks, for comparison alone: (n,), below zero where there is no elite."""
-        slots = self._slots[places]
-        return np.where(slots == NO_SLOT, -1.0, self._kept["rank"][slots])
+        ranks: Floats = self._kept["rank"][places]
+        return ranks
 
     def preference(self, options: Places, generator: np.random.Generator) -> Floats:
         """Return the preference of each of `options` (n, k), by outcome and by chance: (n, k).
@@ -274,18 +277,9 @@ class EliteStore:
         return np.where(ranks < 0, -1.0, ranks + RANK_NOISE * generator.random(options.shape))
 
     def _at(self, name: str, places: Places) -> Floats:
-        return self._kept[name][self._slots[places]].astype(np.float64)
+        return self._kept[name][places].astype(np.float64)
 
-    def _slots_for(self, places: Places) -> NDArray[np.int32]:
-        """Return the slots of distinct `places`; those without one get the next ones."""
-        new = places[self._slots[places] == NO_SLOT]
-        while self._size + len(new) > len(self._kept):
-            self._kept = np.concatenate([self._kept, np.zeros_like(self._kept)])
-        self._slots[new] = np.arange(self._size, self._size + len(new))
-        self._size += len(new)
-        return self._slots[places]
-
-    def _keep(self, slots: NDArray[np.int32], rows: Rows, ranks: Floats) -> None:
+    def _keep(self, places: Places, rows: Rows, ranks: Floats) -> None:
         behind = self._kept["posture"].shape[1]
         rotations = unit(rows["base_to_object"][:, 3:].astype(np.float64))
         first, _ = tangents(np.broadcast_to(self._axis, (len(rows), 3)))
@@ -296,7 +290,7 @@ class EliteStore:
             "posture": rows["genome"][:, rows["genome"].shape[1] - behind :],
         }
         for name, values in columns.items():
-            self._kept[name][slots] = values
+            self._kept[name][places] = values
 
 
 def outcome_ranks(rows: Rows) -> Floats:

@@ -21,10 +21,8 @@ from qdgrasp_coordinator.metrics.cells import BINS, GenomeReader, clear_orientat
 from qdgrasp_coordinator.search.base import PositionBox, SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.frontier import (
     ANYWHERE,
-    FIRST_CAPACITY,
     FULL_QUALITY,
     NEIGHBOURS,
-    NO_SLOT,
     EliteStore,
     Frontier,
     Places,
@@ -42,6 +40,8 @@ Kinds = NDArray[np.int64]  # (n,): orientation bins, plus 60 times synergy label
 Niches = NDArray[np.int64]  # (n,): niches of a store, from 0 in the order of discovery
 MANY_KINDS = 8.0  # Unit of the numbers of kinds among features
 FIRST_KIND_WEIGHTS = (0.0, 0.0)  # Weights of the features of kinds before the first fit
+NO_NICHE = -1
+FIRST_CAPACITY = 256  # Initial capacity for niches; it doubles as needed
 PARENTS = 8  # Most grasps around a cell that may be followed there
 TURNS = np.arange(12) * (np.pi / 6.0)  # Rolls by which a grasp is turned [rad]
 FIRST_OPTION_WEIGHTS = (2.0, 0.5, 1.0, 0.5, 0.0, 0.0, 0.0, 1.0, -2.0)
@@ -103,26 +103,26 @@ class NicheStore(EliteStore):
 
     def __init__(self, places: int, axis: Vector, posture: int) -> None:
         super().__init__(FIRST_CAPACITY, axis, posture)
-        self._youngest = np.full(places, NO_SLOT, np.int64)  # A place's last niche, linked to the others
+        self._youngest = np.full(places, NO_NICHE, np.int64)  # A place's last niche, linked to the others
         self._niches = np.zeros(
             FIRST_CAPACITY, [("place", "i8"), ("kind", "i8"), ("elder", "i8"), ("best", "f8")]
         )
         self._n = 0
 
     def find(self, places: Places, kinds: Kinds) -> Niches:
-        """Return the niches (n,) of kinds (n,) in `places` (n,), `NO_SLOT` for a new one."""
+        """Return the niches (n,) of kinds (n,) in `places` (n,), `NO_NICHE` for a new one."""
         found = self._youngest[places]
-        while (other := (found != NO_SLOT) & (self._niches["kind"][found] != kinds)).any():
+        while (other := (found != NO_NICHE) & (self._niches["kind"][found] != kinds)).any():
             found[other] = self._niches["elder"][found[other]]
         return found
 
     def make(self, places: Places, kinds: Kinds) -> Niches:
         """Return the niches (n,) of kinds (n,) in `places` (n,); new ones are added."""
-        (missing,) = np.nonzero(self.find(places, kinds) == NO_SLOT)
+        (missing,) = np.nonzero(self.find(places, kinds) == NO_NICHE)
         for place, kind in dict.fromkeys(zip(places[missing].tolist(), kinds[missing].tolist(), strict=True)):
             if self._n == len(self._niches):
                 self._niches = np.concatenate([self._niches, np.zeros_like(self._niches)])
-                self._slots = np.concatenate([self._slots, np.full_like(self._slots, NO_SLOT)])
+                self._kept = np.concatenate([self._kept, self._room(len(self._kept), self._kept.dtype)])
             self._niches[self._n] = place, kind, self._youngest[place], 0.0
             self._youngest[place], self._n = self._n, self._n + 1
         return self.find(places, kinds)
@@ -137,7 +137,7 @@ class NicheStore(EliteStore):
 
     def best(self, niches: Niches) -> Floats:
         """Return the best quality of each of `niches` (n,); -1 for a new one."""
-        return np.where(niches == NO_SLOT, -1.0, self._niches["best"][niches])
+        return np.where(niches == NO_NICHE, -1.0, self._niches["best"][niches])
 
     def raise_best(self, niches: Niches, quality: Floats) -> None:
         """Record grasps of `quality` (n,) in `niches` (n,), which may repeat."""
@@ -148,7 +148,7 @@ class NicheStore(EliteStore):
         rows, niches = [np.zeros(0, np.intp)], [np.zeros(0, np.int64)]
         row = np.repeat(np.arange(len(places)), places.shape[1])
         found = self._youngest[places.ravel()]
-        while (is_there := found != NO_SLOT).any():
+        while (is_there := found != NO_NICHE).any():
             row, found = row[is_there], found[is_there]
             rows.append(row)
             niches.append(found)
