@@ -8,7 +8,6 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows
 from tests.coordinator.scheduler.search_plans import FEW_CELLS, Plan, asked, reference
 from tests.coordinator.scheduler.test_pipeline import journal, rows_in
-from tests.fakes.job import Job
 
 from qdgrasp_coordinator.metrics.run_stats import RunCounter
 from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
@@ -112,20 +111,6 @@ def test_recorded_rows_allow_just_the_goals_whose_journals_begin_with_them(goal:
                 words = f"^{goal} must be (at least|less than) .* recorded"
                 with pytest.raises(ImpossibleValue, match=words):
                     total.check_budget(spec_of(one))
-
-
-@pytest.mark.parametrize("workers", [1, 2, 3])
-def test_a_run_ends_with_the_same_row_with_any_number_of_workers(workers: int) -> None:
-    plans = {
-        "some": Plan(seed=1, population=9, evaluations=400, successes=20),
-        "barren": Plan(seed=2, population=30, evaluations=400, no_new_cell=9, in_flight=2),
-    }
-    job = Job(dict(plans))
-    job.carry_out(workers)
-    assert job.journals() == {name: reference(plan) for name, plan in plans.items()}
-    some = job.records["some"].rows
-    assert np.count_nonzero(some["outcome"] >= Outcome.DROPPED) == 20
-    assert some["outcome"][-1] >= Outcome.DROPPED
 
 
 def rows_that_find(new: list[bool]) -> Rows:

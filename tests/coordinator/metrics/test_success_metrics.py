@@ -1,7 +1,6 @@
 import math
 
 import numpy as np
-import pytest
 
 from qdgrasp_coordinator.metrics.cells import MIDDLES, GenomeReader, niches
 from qdgrasp_coordinator.metrics.success_metrics import (
@@ -34,14 +33,6 @@ def counted_with(plan: TrialPlan, *blocks: Rows) -> SuccessMetrics:
     return metrics
 
 
-def random_rows(n: int) -> Rows:
-    random = np.random.default_rng(7)
-    made = rows(*(Outcome(value) for value in random.integers(0, 8, n)))
-    made["descriptor"] = random.uniform(-0.03, 0.03, (n, 3))
-    made["nu"] = random.uniform(0, math.pi, n)
-    return made
-
-
 def test_the_qd_score_takes_the_best_fitness_of_each_cell_once() -> None:
     found = rows(Outcome.HELD, Outcome.SHAKEN, Outcome.SHAKEN, Outcome.DROPPED, Outcome.HELD)
     found["descriptor"][:, 0] = [0.1, 0.101, 0.2, 0.3, 0.099]
@@ -55,14 +46,6 @@ def test_nu_from_0_to_pi_falls_into_24_bins_with_both_ends() -> None:
     lean = counted(found).nu
     assert (lean.bins[0], lean.bins[5], lean.bins[6], lean.bins[23], sum(lean.bins)) == (1, 1, 1, 1, 4)
     assert lean.below_quarter_pi == 0.5
-
-
-@pytest.mark.parametrize("size", [1, 7, 100])
-def test_blocks_of_any_length_add_up_to_the_same(size: int) -> None:
-    every = random_rows(400)
-    whole, parts = counted(every), counted(*(every[first : first + size] for first in range(0, 400, size)))
-    assert (parts.qd_score, parts.mean_fitness, parts.nu) == (whole.qd_score, whole.mean_fitness, whole.nu)
-    assert whole.qd_score > 50
 
 
 def with_trials(*sums: int, trials: int = 10) -> Rows:

@@ -37,14 +37,6 @@ def test_the_time_left_hardly_grows_and_is_about_right() -> None:
     assert len(shown) > 600
 
 
-def test_a_run_that_is_replayed_meanwhile_is_no_speed() -> None:
-    left = TimeLeft()
-    for second, replayed in enumerate((0, 5000, 50_000)):
-        job = figures(**(BEGUN | {"evaluations": replayed, "remaining": 100, "seconds": float(second)}))
-        shown = left.note(job, at_work({"rows": 50}), 0.0, float(second))
-    assert (shown.seconds_left, shown.doing) == (None, "first poses: candidates are screened")
-
-
 def test_it_is_said_at_once_at_the_beginning_and_after_a_while_without_rows_later() -> None:
     left = TimeLeft()
 

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.coordinator.search.synthetic_scene import (
-    SIZE,
     covered,
     evaluate,
     play,
@@ -23,10 +22,7 @@ from qdgrasp_coordinator.search.value_search import (
     FIRST_EXPLORING,
     LOOSENESS,
     TARGET,
-    AimedGrasps,
     ValueSearch,
-    directions,
-    exploration_grasps,
 )
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -129,16 +125,3 @@ def test_without_a_success_it_explores_on_and_aims_anywhere(outcome: Outcome) ->
     assert (looseness[:200] == 1).mean() < 0.1
     assert (looseness[-500:] == 1).mean() == pytest.approx(0.5, abs=0.1)
     assert len(np.unique(rows["genome"], axis=0)) == len(rows)
-
-
-def drawn(free_share: float, n: int = 2000) -> AimedGrasps:
-    return exploration_grasps(space("valued"), n, free_share, 1.0, np.random.default_rng(0))
-
-
-def test_an_exploring_hand_looks_at_a_face_from_before_it() -> None:
-    aims = drawn(free_share=0.0)
-    on_face = np.isclose(np.abs(aims.contacts), SIZE / 2)
-    assert on_face.any(axis=1).all()
-    towards = directions(aims.targets, aims.contacts)
-    inward = -np.sign(aims.contacts) * on_face
-    assert ((towards * inward).sum(axis=1) > np.cos(np.pi / 4) - 1e-9).all()

@@ -71,15 +71,6 @@ def test_it_goes_on_while_everything_is_rejected_from_the_first() -> None:
     assert len(search._archive) > 0
 
 
-def test_positions_outside_the_box_are_not_inserted() -> None:
-    search = CmaMae(spec(), SHAPE.genes, BOX)
-    rows = evaluated(search.ask(0), Outcome.HELD)
-    rows["descriptor"][:, 0] = 0.21
-    rows["descriptor"][0] = 0.1
-    search.tell(0, rows)
-    assert len(search._archive) == 1
-
-
 @pytest.mark.parametrize("population", [1, 15, 40])
 def test_a_population_that_cannot_be_shared_is_refused(population: int) -> None:
     with pytest.raises(

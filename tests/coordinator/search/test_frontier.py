@@ -4,18 +4,11 @@ import numpy as np
 import pytest
 
 from qdgrasp_assets.geometry.rotation import conjugate, from_frame, multiply, tangents, turned, unit
-from qdgrasp_coordinator.search.base import keyed_generator
 from qdgrasp_coordinator.search.frontier import EliteStore, Frontier, Places, outcome_ranks
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 
 BOX = (np.full(3, -0.05), np.full(3, 0.05))
-MIDDLE = np.zeros((1, 3))
 REACH = 0.1
-BESIDE = np.concatenate([np.eye(3), -np.eye(3)]) / 100
-
-
-def generator(number: int = 0) -> np.random.Generator:
-    return keyed_generator(0, "targets", number)
 
 
 @pytest.fixture
@@ -82,14 +75,3 @@ def test_a_roll_is_read_back_from_the_pose_and_kept_in_other_directions(axis: tu
     near = unit(directions + random.normal(0, 0.05, (200, 3)))
     read, _ = turned(*tangents(near), kept.rolls(np.arange(200), near))
     assert (aside * read).sum(axis=1).min() > 0.97
-
-
-def test_the_better_neighbour_is_preferred_mostly_and_equals_alike() -> None:
-    kept, told = elite_store(), rows([Outcome.DROPPED, Outcome.HELD, Outcome.HELD])
-    offer(kept, of([1, 2, 3]), told)
-    options = np.tile(of([1, 2, 3, 4]), (3000, 1))
-    chosen = kept.preference(options, np.random.default_rng(0)).argmax(axis=1)
-    dropped, one, other, none = np.bincount(chosen, minlength=4)
-    assert none == 0
-    assert 0 < dropped < 0.2 * one
-    assert one == pytest.approx(other, rel=0.15)

@@ -1,4 +1,3 @@
-import itertools
 import os
 import signal
 import sqlite3
@@ -17,12 +16,11 @@ from tests.coordinator.recorded_runs import spoil_block
 
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.storage import journal as journal_module
-from qdgrasp_coordinator.storage.journal import Journal, JournalIdentity, JournalSlice, join_slices
+from qdgrasp_coordinator.storage.journal import Journal, JournalIdentity, JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_coordinator.storage.run_folder import journal_digest
 from qdgrasp_protocol.errors import DiskFull, FolderError
-from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -228,12 +226,6 @@ class TestRefusals:
             with pytest.raises(FolderError, match="rows 0 to 49 are not what was recorded"):
                 journal.rows(10, 1)
 
-    def test_an_altered_row_at_the_end_leaves_nothing_to_count(self, tmp_path: Path) -> None:
-        record(tmp_path, make_rows(100), [50, 50])
-        spoil_block(tmp_path / JOURNAL, 50)
-        with pytest.raises(FolderError, match="rows 50 to 99 are not what was recorded"):
-            Journal.open(tmp_path)
-
     def test_a_missing_block_is_said_to_be_damage(self, tmp_path: Path) -> None:
         record(tmp_path, make_rows(30), [10, 10, 10])
         with sqlite3.connect(tmp_path / JOURNAL) as database:
@@ -269,19 +261,3 @@ def test_rows_that_cannot_be_read_in_a_closed_place_are_not_left_out(tmp_path, m
     monkeypatch.setattr(journal_module.sqlite3, "connect", in_closed_place)
     with Journal.open(tmp_path) as journal:
         assert journal.count == 20
-
-
-def ten_rows() -> JournalSlice:
-    rows = RowShape(genes=1, joints=0).empty(10)
-    rows["index"] = np.arange(10)
-    failures = tuple(Failure(row=row, reason=f"row {row}") for row in (0, 4, 9))
-    return JournalSlice(100, rows, 5.0, failures)
-
-
-@pytest.mark.parametrize("cuts", [[100, 110], [100, 101, 110], [100, 103, 104, 109, 110]])
-def test_parts_join_to_the_whole(cuts: list[int]) -> None:
-    whole = ten_rows()
-    again = join_slices([whole.part(first, stop) for first, stop in itertools.pairwise(cuts)])
-    assert (again.first, again.stop, again.failures) == (whole.first, whole.stop, whole.failures)
-    assert again.rows.tobytes() == whole.rows.tobytes()
-    assert again.cpu_seconds == pytest.approx(whole.cpu_seconds)

@@ -154,26 +154,3 @@ def test_a_full_disk_is_told_of_and_nothing_is_left(tmp_path: Path) -> None:
     with pytest.raises(DiskFull, match="no room to write in"):
         fail(OutFile(tmp_path / "a" / "out"), FULL)
     assert there(tmp_path) == []
-
-
-@pytest.mark.parametrize("is_done", [False, True])
-def test_a_folder_that_a_stopped_command_was_replacing_is_there(tmp_path, monkeypatch, is_done) -> None:
-    out = OutFolder(tmp_path / "folder", force=True, is_kind=lambda _: True)
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "folder/one").touch()
-    rename = Path.rename
-
-    def stop(path: Path, target: Path) -> None:
-        rename(path, target)
-        if (path.parent.suffix == ".part") is is_done:  # the old one is moved away, or the new one is there
-            raise SystemExit(1)
-
-    def replace() -> None:
-        with out.writing() as made:
-            made.mkdir()
-            (made / "two").touch()
-            monkeypatch.setattr(Path, "rename", stop)
-
-    with pytest.raises(SystemExit):
-        replace()
-    assert there(tmp_path) == ["folder", "folder/two" if is_done else "folder/one"]
