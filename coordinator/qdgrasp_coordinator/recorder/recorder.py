@@ -21,7 +21,7 @@ from qdgrasp_coordinator.recorder.run_writer import Arrival, RunIdentity, RunWri
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder
 from qdgrasp_coordinator.storage.journal import Journal, slice_from_message, slice_to_message
-from qdgrasp_coordinator.storage.journal_writer import FirstEpoch, OpenJournals
+from qdgrasp_coordinator.storage.journal_writer import OpenJournals
 from qdgrasp_coordinator.storage.outputs import JOURNAL, SPEC, OutFolder
 from qdgrasp_coordinator.storage.platforms import platform_differences, platform_of
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -311,7 +311,7 @@ class Recorder:
             writer.begin_epoch(run.spec, self.epoch)
             return writer
         platform = platform_of(run.spec.engine, self._platform)
-        self._journals.begin(path, run.for_journal, FirstEpoch(self.epoch, time.time(), platform))
+        self._journals.begin(path, run.for_journal, self.epoch, time.time(), platform)
         return self._keep(RunWriter(RunFolder(path), self._journals, self.epoch, run, platform))
 
     def _writer(self, run: str) -> RunWriter:

@@ -64,25 +64,20 @@ class FinishedRuns:
 
     def __init__(self, campaign: Path) -> None:
         self._file = campaign / FINISHED
-        self._inode = 0
-        self._read = 0
+        self._mark: tuple[int, ...] = ()
         self._runs: dict[str, FinishedRun] = {}
 
     def refresh(self) -> None:
-        """Read what was added to the file since the last time, or all of another one."""
-        whole = b""
-        with suppress(OSError), self._file.open("rb") as stream:
-            stat = os.fstat(stream.fileno())
-            if stat.st_ino == self._inode and stat.st_size >= self._read:
-                stream.seek(self._read)
-            else:
-                self._inode, self._read, self._runs = stat.st_ino, 0, {}
-            whole = stream.read().rpartition(b"\n")[0]
-        for line in whole.split(b"\n") if whole else ():
-            self._read += len(line) + 1
-            with suppress(ValueError, RecursionError):  # a line that was cut off, or is of another version
-                found = msgspec.json.decode(line, type=FinishedRun)
-                self._runs[found.run] = found
+        """Read the file again if it has changed since the last time."""
+        with suppress(OSError):
+            stat = self._file.stat()
+            if (mark := (stat.st_ino, stat.st_size, stat.st_mtime_ns)) == self._mark:
+                return
+            self._mark, self._runs = mark, {}
+            for line in self._file.read_bytes().splitlines():
+                with suppress(ValueError, RecursionError):  # a line that was cut off
+                    found = msgspec.json.decode(line, type=FinishedRun)
+                    self._runs[found.run] = found
 
     def find(self, path: Path, spec: RunSpec | None = None) -> RunListing | None:
         """Return the listing of the run in a folder if it is finished; None: that is not known.

@@ -9,8 +9,8 @@ import sqlite3
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -33,19 +33,7 @@ TURN = "INSERT OR IGNORE INTO turns VALUES (?, ?, ?)"
 META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 
 
-@dataclass(frozen=True)
-class FirstEpoch:
-    """The first coordinator's turn at a run, written with its journal."""
-
-    epoch: int = 0
-    """0: no coordinator has opened the run yet."""
-    at: float = 0.0
-    """When it was opened [s since 1970]."""
-    platform: Mapping[str, str] = field(default_factory=dict)
-    """Platform of the rows to come; empty: not known."""
-
-
-NO_EPOCH = FirstEpoch()
+NO_PLATFORM: Mapping[str, str] = MappingProxyType({})
 
 
 class JournalWriter(Journal):
@@ -56,10 +44,19 @@ class JournalWriter(Journal):
         self._opened = file.stat()
 
     @classmethod
-    def create(cls, folder: Path, identity: JournalIdentity, turn: FirstEpoch = NO_EPOCH) -> "JournalWriter":
+    def create(
+        cls,
+        folder: Path,
+        identity: JournalIdentity,
+        epoch: int = 0,
+        now: float = 0.0,
+        platform: Mapping[str, str] = NO_PLATFORM,
+    ) -> "JournalWriter":
         """Begin the journal of a run; the file appears whole or not at all.
 
-        It is written without a wait for the disk, then flushed as a whole: before any row is in it.
+        With it is written that the coordinator of an epoch (0: none yet) opened the run at `now` [s since
+        1970], and the platform of the rows to come (empty: not known). It is written without a wait for the
+        disk, then flushed as a whole: before any row is in it.
         """
         part = folder / f"{JOURNAL}.part"
         for left in folder.glob(f"{part.name}*"):
@@ -69,10 +66,10 @@ class JournalWriter(Journal):
             try:
                 database.execute("PRAGMA synchronous = OFF")
                 create_tables(database, identity)
-                if turn.epoch:
-                    database.execute(TURN, (turn.epoch, turn.at, turn.at))
-                if turn.platform:
-                    database.execute(META, ("platform", _platform_text(turn.platform)))
+                if epoch:
+                    database.execute(TURN, (epoch, now, now))
+                if platform:
+                    database.execute(META, ("platform", _platform_text(platform)))
                 database.execute("PRAGMA journal_mode = WAL")
             finally:
                 database.close()
@@ -206,9 +203,11 @@ class OpenJournals:
         self._open[folder] = journal  # the last one is the one used last
         return journal
 
-    def begin(self, folder: Path, identity: JournalIdentity, turn: FirstEpoch = NO_EPOCH) -> None:
-        """Begin the journal of a run."""
-        self._open[folder] = self._make_room().create(folder, identity, turn)
+    def begin(
+        self, folder: Path, identity: JournalIdentity, epoch: int, now: float, platform: Mapping[str, str]
+    ) -> None:
+        """Begin the journal of a run, as `JournalWriter.create`."""
+        self._open[folder] = self._make_room().create(folder, identity, epoch, now, platform)
 
     def close(self, folder: Path) -> None:
         """Close the journal in a run's folder, if it is open."""
