@@ -41,42 +41,25 @@ LOCK_INTERVAL = 0.05  # seconds between two tries
 
 
 @contextmanager
-def hold_lock(folder: Path, name: str = LOCK) -> Iterator[None]:
+def hold_lock(folder: Path, name: str = LOCK, patience: float = LOCK_PATIENCE) -> Iterator[None]:
     """Hold the lock `name` of the folder; raise `FolderError` if another process holds it."""
-    deadline = time.monotonic() + LOCK_PATIENCE
-    with _lock_file(folder, name) as file:
-        while not _try_lock(file):
-            if time.monotonic() > deadline:
-                raise _in_use(folder, file)
+    deadline = time.monotonic() + patience
+    with outputs.writing(folder):
+        file = (folder / name).open("a+")
+    with file:
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > deadline:
+                    raise _in_use(folder, file) from None
             time.sleep(LOCK_INTERVAL)  # trying does not wait: sleep between two tries
         with suppress(OSError):  # on a full disk the lock holds all the same; it only has no name
             file.truncate(0)
             file.write(str(os.getpid()))
             file.flush()
         yield
-
-
-def check_unlocked(folder: Path, name: str = LOCK) -> None:
-    """Raise `FolderError` if a process holds the lock `name` of the folder."""
-    with _lock_file(folder, name) as file:
-        if not _try_lock(file):
-            raise _in_use(folder, file)
-
-
-@contextmanager
-def _lock_file(folder: Path, name: str) -> Iterator[IO[str]]:
-    with outputs.writing(folder):
-        file = (folder / name).open("a+")
-    with file:
-        yield file
-
-
-def _try_lock(file: IO[str]) -> bool:
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 def _in_use(folder: Path, file: IO[str]) -> FolderError:
@@ -226,8 +209,9 @@ class JobFolder:
 
     def check_not_in_use(self) -> None:
         """Raise `FolderError` if a process writes in this folder."""
-        check_unlocked(self.path, SUPERVISED)
-        check_unlocked(self.path)
+        for name in (SUPERVISED, LOCK):
+            with hold_lock(self.path, name, patience=0.0):
+                pass
 
     @property
     def _job(self) -> JobRecord:
