@@ -7,7 +7,6 @@ from qdgrasp_assets.geometry.rotation import Floats, multiply, unit
 from qdgrasp_coordinator.metrics.cells import (
     MIDDLES,
     GenomeReader,
-    cell_keys,
     cell_of,
     cells,
     niches,
@@ -32,12 +31,6 @@ def test_float32_positions_are_widened_before_they_are_rounded() -> None:
     assert float(position) > 0.165
     assert position * np.float32(100) == 16.5
     assert cells(np.array([[position] * 3])).tolist() == [[17, 17, 17]]
-
-
-def test_keys_are_equal_for_equal_cells_only() -> None:
-    grid = np.stack(np.meshgrid(*[np.arange(-12, 13)] * 3), axis=-1).reshape(-1, 3)
-    assert len(np.unique(cell_keys(grid))) == len(grid)
-    assert np.array_equal(cell_keys(grid), cell_keys(grid.copy()))
 
 
 RANDOM = np.random.default_rng(3)

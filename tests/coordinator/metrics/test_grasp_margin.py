@@ -77,20 +77,3 @@ def test_another_contact_more_friction_or_softer_fingers_never_lower_a_margin(se
     assert margin(points, normals, torsion=torsion) >= found - FLOAT32
     assert margin(points[1:], normals[1:], 0.6, torsion=torsion) >= found - FLOAT32
     assert margin(points[1:], normals[1:], torsion=torsion + 0.1) >= found - FLOAT32
-
-
-def test_grasps_of_one_table_are_alone_in_it_and_what_is_no_contact_is_not_read() -> None:
-    generator = np.random.default_rng(0)
-    points, normals = np.full((2, 12, 16, 3), np.nan, dtype=np.float32)
-    touching = np.zeros((12, 16), dtype=bool)
-    for grasp in range(12):
-        places = np.sort(generator.permutation(16)[:grasp])
-        touching[grasp, places] = True
-        points[grasp, places], normals[grasp, places] = on_ellipsoid(grasp, grasp)
-    found = grasp_margins(points, normals, touching, friction=0.5, radius=1.0)
-    assert found.dtype == np.float32
-    assert (found[:3] == 0).all()
-    assert (found > 0).sum() >= 5
-    alone = [margin(points[i, touching[i]], normals[i, touching[i]]) for i in range(12)]
-    assert found.tolist() == alone
-    assert grasp_margins(points[:0], normals[:0], touching[:0], friction=0.5, radius=1.0).shape == (0,)

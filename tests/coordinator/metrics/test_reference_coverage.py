@@ -150,11 +150,3 @@ def test_the_released_count_takes_two_elites_that_round_to_one_position() -> Non
     left, right = (0.8, 0, 0), (1.2, 0, 0)
     found = coverage(at(left, right), np.zeros(2), FOUR, SHIFTED)
     assert (found.found, found.released_found) == (1, 2)
-
-
-def test_the_released_count_can_lose_what_it_had() -> None:
-    known_cell, better_beside_it = (1, 0.1, 0), (1, 0.9, 0)
-    first = coverage(at(known_cell), np.array([1]), FOUR, SHIFTED)
-    both = coverage(at(known_cell, better_beside_it), np.array([1, 2]), FOUR, SHIFTED)
-    assert (first.found, first.released_found) == (1, 1)
-    assert (both.found, both.released_found) == (1, 0)

@@ -29,14 +29,6 @@ def test_every_outcome_is_counted_where_it_belongs() -> None:
     assert found.proposals == 48
 
 
-def test_a_run_is_over_when_its_budget_is_spent() -> None:
-    total = RunCounter(3, "redraw")
-    total.count(rows(Outcome.HELD, Outcome.OVERLAP, Outcome.MISSED))
-    assert (total.left, total.finished) == (1, None)
-    total.count(rows(Outcome.MISSED))
-    assert total.finished == "the budget of 3 evaluations is spent"
-
-
 def blocks(*generations: Rows, size: int) -> list[Rows]:
     journal = np.concatenate(generations)
     return [journal[first : first + size] for first in range(0, len(journal), size)]

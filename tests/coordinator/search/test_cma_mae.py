@@ -1,7 +1,6 @@
 """CMA_MAE: the rows that its emitters are told, and replay of its asks."""
 
 import hashlib
-import warnings
 
 import numpy as np
 import pytest
@@ -59,16 +58,6 @@ def test_what_was_rejected_is_never_inserted(outcome: Outcome) -> None:
     before = len(search._archive)
     play(search, 3, outcome)
     assert len(search._archive) == before > 0
-
-
-def test_it_goes_on_while_everything_is_rejected_from_the_first() -> None:
-    search = CmaMae(spec(30), SHAPE.genes, BOX)
-    with warnings.catch_warnings(action="error"):
-        genomes = play(search, 4, Outcome.OVERLAP)
-    assert len(search._archive) == 0
-    assert len({one.tobytes() for one in genomes}) == 4
-    play(search, 2)
-    assert len(search._archive) > 0
 
 
 @pytest.mark.parametrize("population", [1, 15, 40])

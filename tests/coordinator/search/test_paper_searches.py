@@ -116,13 +116,6 @@ def test_only_successes_are_taken_when_there_are_enough(successes: int) -> None:
     assert picked.max() == 1
 
 
-@pytest.mark.parametrize("successes", [0, 1, 12, 30])
-def test_a_small_archive_gives_every_elite_once_and_then_any(successes: int) -> None:
-    picked = times(select_successes(elites(30, successes), 50, generator()), 30)
-    assert picked.sum() == 50
-    assert picked.min() == 1
-
-
 def test_mutation_moves_the_stated_share_of_genes_by_the_stated_spread() -> None:
     children = mutate(np.zeros((20_000, 7), dtype=np.float32), 0.1, 0.3, generator())
     moved = children != 0

@@ -51,22 +51,6 @@ def test_a_cell_stays_open_until_it_holds() -> None:
     assert again > 20
 
 
-BEST = {"hold": 0, "eta": 1}
-"""Of a robust grasp with few trials survived, and a weak one with many, which one its cell passes on."""
-
-
-@pytest.mark.parametrize("aim_for", BEST)
-def test_a_cell_passes_on_the_grasp_that_is_best_by_the_objective(aim_for: str) -> None:
-    seeking, where = build(spec(aim_for=aim_for, protocol="robust"))
-    rows = evaluate(where, 0, seeking.ask(0))
-    rows["outcome"] = Outcome.MISSED
-    rows["outcome"][:2], rows["fitness"][:2] = [Outcome.HELD, Outcome.SHAKEN], [50, 150]
-    rows["descriptor"][:2, :3] = 0.0
-    seeking.tell(0, rows)
-    passed_on = seeking._elites.points(seeking._frontier.places(np.zeros((1, 3))))
-    assert passed_on.tolist() == rows["surface_point"][[BEST[aim_for]]].tolist()
-
-
 @pytest.mark.parametrize(
     ("values", "expected"),
     [

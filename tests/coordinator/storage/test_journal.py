@@ -113,18 +113,6 @@ def test_rows_that_are_not_the_next_are_refused(tmp_path: Path) -> None:
         assert journal.count == 10
 
 
-def test_wall_seconds_are_those_of_each_turn_and_not_the_pauses_between(tmp_path: Path) -> None:
-    rows = make_rows(20)
-    with JournalWriter.create(tmp_path, IDENTITY) as journal:
-        assert journal.wall_seconds == 0.0
-        journal.begin_epoch(1, 100.0)
-        journal.append(JournalSlice(0, rows[:10]), 1, 103.0)
-        journal.begin_epoch(2, 5000.0)
-        journal.begin_epoch(2, 5001.0)
-        journal.append(JournalSlice(10, rows[10:]), 2, 5004.0)
-        assert journal.wall_seconds == 7.0
-
-
 def test_a_reader_sees_the_journal_as_it_was_when_it_was_opened(tmp_path: Path) -> None:
     rows = make_rows(20)
     with JournalWriter.create(tmp_path, IDENTITY) as writer:
@@ -204,12 +192,6 @@ class TestRefusals:
         before = (tmp_path / JOURNAL).read_bytes()
         check_refused(tmp_path, "not a journal of qdgrasp")
         assert (tmp_path / JOURNAL).read_bytes() == before
-
-    def test_a_journal_of_a_newer_format_is_refused_by_its_number(self, tmp_path: Path) -> None:
-        record(tmp_path, make_rows(1), [1])
-        with sqlite3.connect(tmp_path / JOURNAL) as database:
-            database.execute("PRAGMA user_version = 7")
-        check_refused(tmp_path, "is of format 7, and this version of qdgrasp reads format 1")
 
     def test_a_torn_file_is_said_to_be_damaged(self, tmp_path: Path) -> None:
         record(tmp_path, make_rows(3000), [3000])

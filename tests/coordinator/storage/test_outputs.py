@@ -8,11 +8,10 @@ import pytest
 
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import DiskFull, OutputError
+from qdgrasp_protocol.errors import OutputError
 from qdgrasp_protocol.spec import run_spec
 
 KINDS: list[Callable[[Path], Output]] = [OutFile, OutFolder]
-FULL = OSError(28, "No space left on device")
 ADVICE = "name another path with --out"
 NEITHER = {"pipe": "a device or pipe", "link": "a link"}
 each_kind = pytest.mark.parametrize("kind", KINDS)
@@ -148,9 +147,3 @@ def test_a_folder_of_the_kind_is_replaced_by_force_alone_and_as_a_whole(tmp_path
     with forced.writing() as made:
         fill(made, OutFolder)
     assert there(tmp_path) == ["out", "out/inside"]
-
-
-def test_a_full_disk_is_told_of_and_nothing_is_left(tmp_path: Path) -> None:
-    with pytest.raises(DiskFull, match="no room to write in"):
-        fail(OutFile(tmp_path / "a" / "out"), FULL)
-    assert there(tmp_path) == []
