@@ -109,12 +109,6 @@ def test_a_hand_of_a_mujoco_file_becomes_a_urdf_beside_its_file(gripper, tmp_pat
     assert gripper("check", "hand.toml").exit_code == 0
 
 
-def test_the_urdf_is_never_written_over(gripper):
-    done = gripper("new", "jaw.urdf", "-o", "jaw.urdf", "--force")
-    assert str(done.exception) == "jaw.urdf must end with .toml; name another path with --out."
-    assert Path("jaw.urdf").read_text() == example_hands.JAW_URDF
-
-
 def test_what_is_found_bad_is_not_written_and_its_repaired_copy_goes(gripper, bare):
     done = gripper("new", "jaw.urdf", "--standoff", "0.05", "0.01", "--repair")
     assert isinstance(done.exception, AssetError)

@@ -17,11 +17,6 @@ ENDPOINT = "tcp/127.0.0.1:1"
 BOTH = views(values("mugs") | values("cubes"))
 
 
-def test_one_job_is_chosen_by_its_name_and_all_without_one() -> None:
-    assert [view.job for view in job_commands.chosen_views(BOTH, None)] == ["cubes", "mugs"]
-    assert [view.job for view in job_commands.chosen_views(BOTH, "mugs")] == ["mugs"]
-
-
 def test_json_is_one_line_from_which_all_can_be_read_again() -> None:
     line = job_commands.to_json(BOTH, ENDPOINT)
     assert "\n" not in line

@@ -51,17 +51,6 @@ def test_a_good_object_is_described_and_the_next_command_is_named(check):
         assert words in done.stdout
 
 
-def test_parts_that_are_not_found_are_a_fault(check, monkeypatch):
-    def decompose(_mesh, name, _threshold):
-        raise AssetError(f"CoACD did not decompose the mesh '{name}'; simplify the mesh.")
-
-    monkeypatch.setattr("qdgrasp_assets.geometry.collision_parts.decompose", decompose)
-    trimesh.creation.annulus(0.02, 0.03, 0.05).export("ring.stl")
-    done = check("ring.stl", "--mass", 0.1)
-    assert "WRONG            CoACD did not decompose the mesh 'ring.stl'" in done.stdout
-    assert "correct the fault that is listed" in str(done.exception)
-
-
 def test_two_bodies_that_are_apart_are_one_object_only_if_that_is_said(check):
     trimesh.util.concatenate([block(), block().apply_translation((0.05, 0, 0))]).export("two.stl")
     done = check("two.stl", "--mass", 0.1, "--no-parts")

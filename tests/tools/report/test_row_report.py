@@ -46,13 +46,6 @@ def test_a_run_names_synergies_as_its_prior_does(tmp_path: Path) -> None:
     assert len(set(labels(folder))) == 3
 
 
-def test_a_legend_is_read_once(tmp_path: Path) -> None:
-    folder, _ = run_of_synergies(tmp_path / "mug")
-    known = RowContextCache()
-    with folder.journal() as journal:
-        assert known.get(folder, journal) is known.get(folder, journal)
-
-
 def test_before_the_scene_is_there_no_synergy_is_named(tmp_path: Path) -> None:
     folder, rows = run_of_synergies(tmp_path / "mug")
     (folder.path / "scene.bundle").unlink()
@@ -118,12 +111,6 @@ def test_a_success_is_told_with_the_pose_after_closing_the_motion_and_its_contac
     assert (contact.link, contact.normal, contact.force) == ("left_finger", (0, 1, 0), 12.5)
     assert contact.point == pytest.approx((0.01, 0, 0.02), abs=1e-4)
     assert "\ncontact points   link left_finger  point 0.01" in found.table
-
-
-def test_of_a_success_without_a_settled_pose_it_is_said_that_it_is_not_recorded(made: Made) -> None:
-    found = row_report(made.folder, 1)
-    assert (found.settled, found.moved, found.turned, found.contact_points) == (None, None, None, ())
-    assert "\nsettled          none\n" in found.table
 
 
 def test_what_there_is_not_is_left_out(made: Made) -> None:

@@ -2,8 +2,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 
@@ -13,7 +11,7 @@ from qdgrasp_coordinator.metrics.reference_coverage import (
     ReleasedArchive,
     coverage,
 )
-from qdgrasp_coordinator.metrics.success_metrics import StepSeries, reference_growth, released_growth
+from qdgrasp_coordinator.metrics.success_metrics import reference_growth, released_growth
 from qdgrasp_coordinator.metrics.successes import Successes, all_successes
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_tools.report.run_groups import RunHistory, read_history
@@ -40,12 +38,6 @@ def at_once(rows: Rows) -> tuple[object, ...]:
     return said.found, said.robust_found, said.released_found
 
 
-def test_a_number_holds_from_the_evaluation_at_which_it_changes() -> None:
-    rising = StepSeries(np.array([3, 7]), np.array([1, 5]))
-    assert rising.after([0, 2, 3, 6, 7, 100]).tolist() == [0, 0, 1, 1, 5, 5]
-    assert (rising.end, StepSeries(np.zeros(0, np.int64), np.zeros(0, np.int64)).end) == (5, 0)
-
-
 @pytest.mark.parametrize("n", [0, 1, 37, 150, 600])
 def test_a_curve_is_at_each_place_what_coverage_says_of_the_rows_up_to_there(n: int) -> None:
     rows = random_rows(600, seed=3, reach=0.05)
@@ -56,12 +48,6 @@ def test_a_curve_is_at_each_place_what_coverage_says_of_the_rows_up_to_there(n: 
         released_growth(whole, KNOWN, ARCHIVE),
     )
     assert tuple(int(curve.after(n)) for curve in curves) == at_once(rows[:n])
-
-
-@given(st.integers(0, 2**16), st.integers(0, 60))
-def test_the_count_as_published_is_the_released_archive_s_at_any_time(seed: int, n: int) -> None:
-    rows = random_rows(60, seed, reach=0.02)
-    assert int(released_growth(finds(rows), KNOWN, ARCHIVE).after(n)) == at_once(rows[:n])[2]
 
 
 def test_overlaps_are_no_evaluations_where_they_are_redrawn(tmp_path: Path) -> None:
