@@ -11,7 +11,6 @@ from qdgrasp_protocol.errors import ImpossibleValue
 ROOT = "qdgrasp/v1"
 NAME = re.compile(r"[a-z0-9_-]{1,64}")
 WID = re.compile(r"[0-9a-f]{32}")
-DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 def job_name(text: str) -> str:

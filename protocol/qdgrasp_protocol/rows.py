@@ -67,11 +67,6 @@ class Outcome(IntEnum):
         """True if at least one disturbance was survived: a grasp for users and exports."""
         return self >= Outcome.SHAKEN
 
-    @property
-    def is_robust(self) -> bool:
-        """True if every disturbance was survived."""
-        return self >= Outcome.HELD
-
 
 TRIALS = 100
 """Trials of a success (Huber et al. 2024), each with the disturbances of the base protocol."""

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import trimesh
 from docs.demo import MARKER, clear
-from tests.assets import example_hands, synthetic_hands
-from tests.common import PATIENCE, own_endpoint, wait_for
+from tests.assets import example_hands
+from tests.common import PATIENCE, own_endpoint
 from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import made_scene
-from tests.system.commands import ROUTER, WORKER, Commands, end_of, says
+from tests.system.commands import ROUTER, Commands, end_of, says
 from tests.tools.export.conftest import random_rows
 
 import qdgrasp
@@ -133,61 +133,24 @@ def test_both_of_ones_own_meet_at_a_router(scripts: Scripts, commands: Commands)
         assert process.wait(PATIENCE) in {0, 128 + signal.SIGTERM}
 
 
-@pytest.mark.parametrize(
-    ("gripper", "urdf", "most"), [("jaw.toml", "jaw.urdf", 15), ("hand.toml", "hand_repaired.urdf", 60)]
-)
-def test_of_the_three_best_grasps_two_are_held_by_the_hand_of_a_urdf_in_mujoco(
-    gripper: str, urdf: str, most: float, scripts: Scripts, commands: Commands
-) -> None:
+def test_of_the_three_best_grasps_two_are_held_by_the_hand_of_a_urdf_in_mujoco(scripts, commands) -> None:
     home = commands.home
     (home / "jaw.urdf").write_text(example_hands.JAW_URDF)
     (home / "jaw.toml").write_text(example_hands.JAW_TOML)
-    if gripper == "hand.toml":  # four fingers of light links
-        (home / "hand.urdf").write_text(synthetic_hands.THUMB_HAND)
-        commands.succeed("gripper", "new", "hand.urdf", "--repair", "-o", gripper)
     trimesh.creation.box((0.04, 0.06, 0.12)).export(home / "part.stl")
-    scene = ("--gripper", gripper, "--object", "part.stl", "--mass", 0.3, "--engine", "mujoco")
-    commands.succeed(
-        "run", *scene, "--evaluations", 60, "--workers", 1, "--listen", own_endpoint(), "--out", "run"
-    )
+    scene = ("--gripper", "jaw.toml", "--object", "part.stl", "--mass", 0.3, "--engine", "mujoco")
+    commands.succeed("run", *scene, "--evaluations", 60, "--workers", 1, "--out", "run")
     commands.succeed("export", "run", "--format", "csv", "--top", 3, "-o", "best.csv")
     *head, first, second, third = (home / "best.csv").read_text().splitlines()
     moved = []
     for grasp in (first, second, third):
         (home / "one.csv").write_text("\n".join([*head, grasp, ""]))
-        said = scripts("in_mujoco.py", urdf, "part.stl", "one.csv")
+        said = scripts("in_mujoco.py", "jaw.urdf", "part.stl", "one.csv")
         found = re.fullmatch(r"grasp \d+: (\d+) contacts after 2.0 s, object moved ([\d.]+) mm\n", said)
         assert found, said
         assert int(found[1]) >= 2
         moved.append(float(found[2]))
-    assert sorted(moved)[1] < most, moved
-    if gripper == "hand.toml":
-        refused = scripts.start("in_mujoco.py", "hand.urdf", "part.stl", "one.csv")
-        assert "are of palm_centre, the root of hand.urdf is palm: give a URDF" in end_of(refused, 1)[1]
-        joint = '<joint name="fixed" type="fixed"><parent link="world"/><child link="palm_centre"/>'
-        below = f'<link name="world"/>{joint}<origin xyz="1 2 3" rpy="1 2 3"/></joint></robot>'
-        (home / urdf).write_text((home / urdf).read_text().replace("</robot>", below))
-        assert scripts("in_mujoco.py", urdf, "part.stl", "one.csv") == said
-
-
-def test_a_run_without_workers_waits_for_those_with_an_evaluator_of_ones_own(scripts, commands) -> None:
-    endpoint = own_endpoint()
-    run = ("--gripper", "panda", "--object", "mug", "--method", "approach_rand", "--evaluations", 60)
-    command = commands.start("run", *run, "--workers", 0, "--listen", endpoint, "--out", "aim")
-    wait_for(lambda: is_listening(commands.home / "aim"), "the run's endpoint")
-    name = f"{EXAMPLES / 'own_evaluator.py'}:Aim"
-    worker = commands.start("--evaluator", name, "--connect", endpoint, "--workers", 2, module=WORKER)
-    said, _ = end_of(command)
-    assert said.startswith("60 evaluations of approach_rand with panda on mug")
-    worker.send_signal(signal.SIGTERM)
-    assert worker.wait(PATIENCE) == 128 + signal.SIGTERM
-
-
-def is_listening(folder: Path) -> bool:
-    try:
-        return qdgrasp.open(folder)._folder.job.endpoint is not None
-    except FolderError:
-        return False
+    assert sorted(moved)[1] < 15, moved
 
 
 def turned(quaternions: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -2,9 +2,7 @@
 
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -118,28 +116,6 @@ def test_where_nobody_is_it_is_said(qdgrasp):
         assert qdgrasp("jobs", "--connect", endpoint, "--json").json == {"endpoint": endpoint, "jobs": []}
         assert "No job is at" in sentence(qdgrasp("pause", "mugs", "--connect", endpoint))
     assert "worker" in sentence(qdgrasp("drain", "mugs", "--worker", "Moon", "--connect", endpoint))
-
-
-ROUTER = """
-import sys
-from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.zenoh_bus import ZenohBus
-bus, endpoint = ZenohBus.embedded(sys.argv[1])
-with bus, bus.token(Keys("job").coordinator_token(1)):
-    print("there", flush=True)
-    sys.stdin.read()
-"""
-"""A router, and a coordinator whose token is there, but which does not answer."""
-
-
-@contextmanager
-def router(endpoint: str) -> Iterator[subprocess.Popen[str]]:
-    with subprocess.Popen(
-        [sys.executable, "-c", ROUTER, endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout.readline() == "there\n"
-        yield process
-        process.kill()
 
 
 @pytest.fixture
