@@ -82,15 +82,6 @@ def test_the_way_begins_behind_the_commanded_pose(made: RunFolder) -> None:
         _ = read_run(made).reach
 
 
-def test_a_run_that_asked_for_a_way_is_written_with_it(scene: Scene, made: RunFolder, tmp_path: Path) -> None:
-    with made.journal() as journal:
-        rows = journal.rows(0, journal.count)
-    asked = record(tmp_path / "asked", scene, rows, method="contact_rand", approach_distance=WAY)
-    assert reachable(asked).numbers.tolist() == [ABOVE, BELOW, LEVEL, UPRIGHT]
-    export_run(asked, tmp_path / "out.csv", "csv")
-    assert "approach_from_z" in (tmp_path / "out.csv").read_text()
-
-
 def test_a_reranking_takes_those_that_are_reachable(made: RunFolder) -> None:
     with made.journal() as journal:
         rows = journal.rows(0, journal.count)

@@ -1,6 +1,5 @@
 """`qdgrasp export`: the grasps that it takes, the files that it writes, and its refusals."""
 
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -29,17 +28,6 @@ def refusal(run: Path, name: str, out: Path, *more: object) -> str:
     error = command(run, "--format", name, "-o", out, *more).exception
     assert isinstance(error, InputError)
     return str(error)
-
-
-def test_the_command_writes_a_file_and_says_what_is_begun_and_in_it(run, tmp_path, monkeypatch) -> None:
-    told, out = list[str](), tmp_path / "out"
-    monkeypatch.setattr(
-        "qdgrasp_tools.cli.grasp_commands.progress_messages", lambda: nullcontext(told.append)
-    )
-    said = command(run.path, "--format", "graspgen", "-o", out)
-    assert said.exit_code == 0, said.exception
-    assert said.stdout.startswith("4 grasps and 6 failures written")
-    assert told == [f"reading {run.path}", f"writing 10 evaluations to {out}"]
 
 
 def test_a_format_or_frame_that_is_none_is_refused(run, tmp_path) -> None:

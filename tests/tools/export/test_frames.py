@@ -6,13 +6,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
-from qdgrasp_assets.scene import Jaw, Scene
+from qdgrasp_assets.scene import Scene
 from qdgrasp_tools.export.grasp_reader import scene_original_base
 from qdgrasp_tools.export.grasp_table import (
     from_matrices,
-    jaw_turn,
     to_matrices,
-    turn_hand_axes,
 )
 
 
@@ -39,16 +37,3 @@ def test_a_scene_tells_the_original_base_link_of_a_hand_that_was_given_another(s
     assert scene_original_base(hand) == OriginalBase(link="palm", position=(-0.08, 0.0, 0.01))
     other = msgspec.structs.replace(hand, urdf=centred.replace('"fixed"', '"revolute"'))
     assert scene_original_base(other) is None
-
-
-AXES = {"Panda": ((0, 0, 1), (0, 1, 0)), "along x": ((1, 0, 0), (0, 0, -1)), "no jaw": ((0, -1, 0), None)}
-
-
-@pytest.mark.parametrize(("approach", "across"), AXES.values(), ids=AXES)
-def test_turned_axes_approach_along_z_and_open_along_x(scene: Scene, poses, approach, across) -> None:
-    jaw = across and Jaw(axis=tuple(map(float, across)), opening=0.1)
-    hand = msgspec.structs.replace(scene.gripper, approach_axis=tuple(map(float, approach)), jaw=jaw)
-    axes, links = (to_matrices(each)[:, :3, :3] for each in (turn_hand_axes(poses, jaw_turn(hand)), poses))
-    np.testing.assert_allclose(axes[:, :, 2], links @ approach, atol=1e-12)
-    if across:
-        np.testing.assert_allclose(axes[:, :, 0], links @ across, atol=1e-12)

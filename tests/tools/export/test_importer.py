@@ -96,21 +96,6 @@ def test_another_scale_hand_link_or_joint_is_pointed_out(panda, tmp_path: Path, 
     assert found.notes == tuple(notes)
 
 
-def test_another_object_and_another_link_are_pointed_out(run: RunFolder, panda, tmp_path: Path) -> None:
-    export_run(run, tmp_path / "f", "parquet")
-    found = panda(tmp_path / "f")
-    assert found.mismatches == (
-        "The file has poses of link 'palm' of gripper 'jaw', not of link 'panda_hand' of gripper 'panda'.",
-        "The object 'block' of the file has its centre of mass elsewhere in its mesh, so it is not the same "
-        "object.",
-    )
-    assert found.notes == (
-        "The file names joints that gripper 'panda' does not have: left, right; they are ignored.",
-    )
-    found = importer.import_poses(tmp_path / "f", run.scene().gripper, ObjectFrame(COM, 1.0))
-    assert [note[:39] for note in found.mismatches] == ["The object 'block' of the file has its "]
-
-
 def test_the_command_takes_a_file_of_another_hand_or_object_only_where_that_is_said(run, tmp_path) -> None:
     export_run(run, tmp_path / "f", "parquet")
     out = tmp_path / "poses.npz"
