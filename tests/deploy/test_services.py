@@ -11,8 +11,6 @@ import pytest
 import yaml
 from tests.deploy.commands import DEPLOY, understood
 
-from qdgrasp_protocol.session import parse_endpoints
-
 UNITS = sorted((DEPLOY / "systemd").glob("*.service"))
 SCRIPTS = sorted((DEPLOY / "slurm").glob("*.sbatch"))
 COMPOSE = yaml.safe_load((DEPLOY / "container" / "compose.yaml").read_text())
@@ -89,20 +87,6 @@ def test_a_service_of_compose_runs_its_command_with_the_certificates_of_its_role
     assert understood([*started, *service["command"]])
     assert {"ca.pem", f"{name}.pem", f"{name}.key"} <= set(service["secrets"])
     assert (DEPLOY / "container" / service["build"]["context"]).resolve() == DEPLOY.parent
-
-
-def test_pods_run_their_commands_and_workers_find_the_router() -> None:
-    (endpoint,) = parse_endpoints(pod_options("qdgrasp-worker")["connect"])
-    (service,) = (each for each in KUBERNETES if each["kind"] == "Service")
-    (port,) = service["spec"]["ports"]
-    (listens,) = parse_endpoints(pod_options("qdgrasp-router")["listen"])
-    assert endpoint.host == service["metadata"]["name"]
-    assert endpoint.port == port["port"] == listens.port
-    deployed = {each["metadata"]["name"] for each in KUBERNETES if each["kind"] == "Deployment"}
-    targets = [
-        each["spec"]["scaleTargetRef"]["name"] for each in KUBERNETES if "scaleTargetRef" in each["spec"]
-    ]
-    assert set(targets) <= deployed
 
 
 def test_workers_are_waited_for_longer_than_their_grace() -> None:
