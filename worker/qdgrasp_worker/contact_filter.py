@@ -250,17 +250,6 @@ POSTURES_PER_STEP = 8  # Interpolated postures for each step
 FREE_JOINT_PLACES = (0.0, 1.0)  # Places of the free joints on their ranges in the measured closings
 
 
-class NoContactFilter:
-    """A filter for a hand of which nothing is known: no pose surely misses."""
-
-    def prepare(self, synergy: int) -> None:
-        """Do nothing."""
-
-    def misses(self, pose: HandPose) -> bool:
-        """Return False."""
-        return False
-
-
 @dataclass(frozen=True)
 class ClearanceBalls:
     """Balls that no zone may come near."""
@@ -279,9 +268,6 @@ class ClearanceBalls:
     def select(self, which: NDArray[np.bool_]) -> Self:
         """The balls where `which` (n,) is True."""
         return replace(self, centres=self.centres[which], min_distances=self.min_distances[which])
-
-
-NO_CONTACT_FILTER = NoContactFilter()
 
 
 class ContactFilter:

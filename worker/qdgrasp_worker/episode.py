@@ -12,7 +12,7 @@ from qdgrasp_assets.geometry.rotation import rotate
 from qdgrasp_assets.grippers.reachability import APPROACH_STEP
 from qdgrasp_assets.scene import Vector
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
+from qdgrasp_worker.contact_filter import ContactFilter
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import (
     CLOSING_STEPS,
@@ -82,7 +82,7 @@ class Episode(ABC, Generic[AnyWorld]):
 
     world: AnyWorld
     protocol: EvaluationProtocol
-    contact_filter: ContactFilter | NoContactFilter = NO_CONTACT_FILTER
+    contact_filter: ContactFilter | None = None
     """Finds poses that need no closing; it changes no verdict."""
 
     def run(self, trial: TrialSetup) -> EpisodeResult:
@@ -92,12 +92,13 @@ class Episode(ABC, Generic[AnyWorld]):
 
     def place(self, trial: TrialSetup) -> TrialSetup | EpisodeResult:
         """Place the open hand; return the trial as the hand stops, or the result if known."""
-        self.contact_filter.prepare(trial.pose.synergy)
+        if self.contact_filter:
+            self.contact_filter.prepare(trial.pose.synergy)
         if trial.approaches:
             trial = self._approached(trial)
         if self.is_blocked(trial):
             return EpisodeResult(Outcome.OVERLAP, trial.pose.joints)
-        if self.contact_filter.misses(trial.pose):
+        if self.contact_filter and self.contact_filter.misses(trial.pose):
             return EpisodeResult(Outcome.MISSED, trial.pose.joints)
         return trial
 

@@ -23,7 +23,7 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import DEVICE_ENGINE, Device, engine_names
 from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
-from qdgrasp_worker.contact_filter import NO_CONTACT_FILTER, ContactFilter, NoContactFilter
+from qdgrasp_worker.contact_filter import ContactFilter
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode, outcome_of
@@ -114,9 +114,9 @@ class Evaluator(BatchEvaluator):
         )
 
     @cached_property
-    def _contact_filter(self) -> ContactFilter | NoContactFilter:
+    def _contact_filter(self) -> ContactFilter | None:
         if not self._shortcuts:
-            return NO_CONTACT_FILTER
+            return None
         follows = self._protocol.free_joints_first
         return ContactFilter(
             self.scene.gripper,
@@ -239,7 +239,7 @@ def verdict_in_all(
 def make_episode(
     world: ShakenWorld | PhysicalWorld,
     protocol: EvaluationProtocol,
-    contact_filter: ContactFilter | NoContactFilter = NO_CONTACT_FILTER,
+    contact_filter: ContactFilter | None = None,
     *,
     stops_early: bool = True,
 ) -> ShakenEpisode | PhysicalEpisode:
@@ -349,19 +349,10 @@ MAX_EVALUATORS = 8  # A Bullet world takes 39 to 47 MB
 
 
 class EvaluatorCache:
-    """Evaluators by their scene's digest, of a bounded weight; the longest unused leaves first.
-
-    A context manager that closes them all.
-    """
+    """Evaluators by their scene's digest, of a bounded weight; the longest unused leaves first."""
 
     def __init__(self) -> None:
         self._evaluators: OrderedDict[str, BatchEvaluator] = OrderedDict()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def __len__(self) -> int:
         return len(self._evaluators)

@@ -8,7 +8,6 @@ in float32 could take another triangle elsewhere. The test runs once for each su
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,37 +23,31 @@ EDGE_TOLERANCE = 1e-9  # distance beyond an edge that still counts, so that no r
 PAIRS_AT_ONCE = 1 << 17  # pairs of ray and triangle that are tested at once: they fit in the cache
 
 
-class RayExits(NamedTuple):
-    """Last points at which rays leave a mesh."""
+def last_exits(
+    origins: Floats, directions: Floats, corners: Floats, length: float
+) -> tuple[Floats, NDArray[np.intp]]:
+    """Distances (n,) [m] and triangles (n,) of the last exits along rays from a mesh.
 
-    distances: Floats
-    """(n,) [m]; NaN where a ray does not leave it within the length."""
-    triangles: NDArray[np.intp]
-    """(n,): the triangle it leaves through; any where the ray meets none."""
-
-
-def last_exits(origins: Floats, directions: Floats, corners: Floats, length: float) -> RayExits:
-    """The last exits along rays from `origins` (n, 3) [m] in unit `directions` (n, 3).
-
-    `corners` (t, 3, 3) [m] are the triangles of a closed mesh, wound outward; exits beyond `length` [m] are
-    left out.
+    The rays go from `origins` (n, 3) [m] in unit `directions` (n, 3); `corners` (t, 3, 3) [m] are the
+    triangles of a closed mesh, wound outward. NaN, and any triangle, where there is no exit within `length`.
     """
     rows = max(1, PAIRS_AT_ONCE // len(corners))
     starts = range(0, len(origins), rows)
     parts = [
         _last_exits_of_some(origins[i : i + rows], directions[i : i + rows], corners, length) for i in starts
     ]
-    return RayExits(
-        np.concatenate([part.distances for part in parts]), np.concatenate([part.triangles for part in parts])
-    )
+    distances, triangles = zip(*parts, strict=True)
+    return np.concatenate(distances), np.concatenate(triangles)
 
 
-def _last_exits_of_some(origins: Floats, directions: Floats, corners: Floats, length: float) -> RayExits:
+def _last_exits_of_some(
+    origins: Floats, directions: Floats, corners: Floats, length: float
+) -> tuple[Floats, NDArray[np.intp]]:
     found = _exit_distances(origins[:, None], directions[:, None], corners)
     found[~((found > MIN_EXIT_DISTANCE) & (found <= length))] = -np.inf
     triangles = found.argmax(axis=1)
     distances = found[np.arange(len(found)), triangles]
-    return RayExits(np.where(np.isfinite(distances), distances, np.nan), triangles)
+    return np.where(np.isfinite(distances), distances, np.nan), triangles
 
 
 def _exit_distances(origins: Floats, directions: Floats, corners: Floats) -> Floats:

@@ -99,14 +99,6 @@ class FingerDrive:
         return (abs(self.closed - self.opened) + self.lead) / self.speed
 
 
-class TargetMotion(NamedTuple):
-    """Direction and end of the motion of a joint's target."""
-
-    sense: int
-    """+1 or -1; 0: it stays."""
-    end: float
-
-
 class FingerControl:
     """The PD laws of a hand's finger joints, with their targets."""
 
@@ -115,19 +107,19 @@ class FingerControl:
         self.is_coupled = is_coupled
         self.targets = [drive.opened for drive in drives]
         """Target of each joint [m or rad]."""
-        self._ways = [TargetMotion(0, drive.opened) for drive in drives]
+        self._ways = [(0, drive.opened) for drive in drives]  # Of each target: +1, -1 or 0, and its end
 
     def start(self, posture: Sequence[float], closing: Sequence[str]) -> None:
         """Let the targets of the joints `closing` move from `posture`; the others stay there."""
         self.targets = list(posture)
         self._ways = [
-            target_motion(drive, place) if drive.name in closing else TargetMotion(0, place)
+            target_motion(drive, place) if drive.name in closing else (0, place)
             for drive, place in zip(self.drives, posture, strict=True)
         ]
 
     def stop(self) -> None:
         """Stop all targets."""
-        self._ways = [TargetMotion(0, target) for target in self.targets]
+        self._ways = [(0, target) for target in self.targets]
 
     def torques(self, states: Sequence[tuple[float, float]], time_step: float) -> list[float]:
         """Advance the targets; return each joint's force or torque by its position and velocity."""
@@ -141,8 +133,9 @@ class FingerControl:
     def walk(self, positions: Sequence[float], seconds: float) -> list[float]:
         """Advance the targets by the joints' positions; return the target of each joint."""
         share = self._mean_share(positions) if self.is_coupled else None
-        for i, (drive, way, position) in enumerate(zip(self.drives, self._ways, positions, strict=True)):
-            sense, end = way
+        for i, (drive, (sense, end), position) in enumerate(
+            zip(self.drives, self._ways, positions, strict=True)
+        ):
             if sense:
                 place = position if share is None else drive.opened + share * (drive.closed - drive.opened)
                 ahead = min(
@@ -157,8 +150,8 @@ class FingerControl:
         """Mean share of their way that the moving joints have gone."""
         shares = [
             (position - drive.opened) / (drive.closed - drive.opened)
-            for drive, way, position in zip(self.drives, self._ways, positions, strict=True)
-            if way.sense
+            for drive, (sense, _), position in zip(self.drives, self._ways, positions, strict=True)
+            if sense
         ]
         return running_sum(shares) / len(shares) if shares else 0.0
 
@@ -170,10 +163,10 @@ class FingerControl:
         )
 
 
-def target_motion(drive: FingerDrive, place: float) -> TargetMotion:
-    """The way of a joint from `place` beyond its closed position, within its limits."""
+def target_motion(drive: FingerDrive, place: float) -> tuple[int, float]:
+    """Sense and end of a way from `place` beyond the closed position, within the limits."""
     sense = (drive.closed > place) - (drive.closed < place)
-    return TargetMotion(sense, min(max(drive.closed + sense * drive.lead, drive.lowest), drive.highest))
+    return sense, min(max(drive.closed + sense * drive.lead, drive.lowest), drive.highest)
 
 
 RESTING_LOOKS = 3  # Looks in a row at which all must rest
@@ -225,21 +218,13 @@ class PhysicalWorld(GraspWorld):
     def release(self) -> None:
         """Release the object, damped; the targets of a jaw move on, others stay."""
 
-    def begin_pushes(self) -> None:
-        """Stop all targets, and remove the damping of the object."""
-        self._let_stay()
+    @abstractmethod
+    def disturb(self) -> None:
+        """Stop all targets, and remove the damping of the object, before pushes or a lift."""
 
     @abstractmethod
     def push(self, direction: Vector) -> None:
         """Push the object with its weight, during the next step, along a direction in hand frame."""
-
-    def begin_lift(self) -> None:
-        """Stop all targets and remove the damping before the object is lifted."""
-        self._let_stay()
-
-    @abstractmethod
-    def _let_stay(self) -> None:
-        """Stop all targets, and remove the damping of the object."""
 
     @abstractmethod
     def weigh(self, factor: float) -> None:
@@ -330,7 +315,7 @@ class PhysicalEpisode(Episode[PhysicalWorld]):
 
     def _survived(self) -> int:
         """Push the object along the axes of the hand; return the number of pushes survived."""
-        self.world.begin_pushes()
+        self.world.disturb()
         start = self.world.object_pose()
         for survived, direction in enumerate(PUSHES):
             if not self._holds_against(direction, *start):
@@ -380,7 +365,7 @@ class LiftEpisode(PhysicalEpisode):
     def _survived(self) -> int:
         """Lift the object; return whether it ends in the hand, off the table."""
         world, physics, lift = self.world, self.world.physics, self.lift
-        world.begin_lift()
+        world.disturb()
         start, before, resting = world.object_pose(), world.look(), 0
         for step in range(0, physics.steps(lift.seconds), world.steps_at_once):
             after = step + world.steps_at_once

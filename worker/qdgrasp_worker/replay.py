@@ -63,8 +63,7 @@ class EpisodeRecorder:
             "step": self._stepped,
             "shake_to": self._shaken,
             "release": lambda: self._begin("settling"),
-            "begin_pushes": lambda: self._begin("pushes"),
-            "begin_lift": lambda: self._begin("lift"),
+            "disturb": lambda: self._begin("lift" if getattr(world, "table", None) else "pushes"),
         }
         for verb, look in looks.items():
             if hasattr(world, verb):

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from qdgrasp_assets.geometry.rotation import facing
+from qdgrasp_assets.grippers.collision_shapes import obj_group_corners
 from qdgrasp_assets.scene import RestingPose, SceneGripper, SceneObject, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.physical_episode import TABLE_HALF, table_middle
@@ -277,7 +278,8 @@ class ObjectBody(BulletBody):
         self.lateral_friction = target.lateral_friction
         self.frictions = target.rolling_friction, target.spinning_friction
         """Its own coefficients of rolling and spinning friction."""
-        self.radius = max(math.hypot(*vertex) for vertex in obj_vertices(target.collision))
+        parts = obj_group_corners(target.collision.decode())
+        self.radius = max(math.hypot(*corner) for corners in parts for corner in corners.tolist())
         """Largest distance of a vertex from the centre of mass [m]."""
 
     @property
@@ -311,10 +313,3 @@ class TableBody(BulletBody):
     def put_below(self, way: float) -> None:
         """Put it `way` [m] below the place where the object rests on it."""
         self.place(table_middle(self._pose, way), self._turn)
-
-
-def obj_vertices(obj: bytes) -> Iterator[list[float]]:
-    """The vertices of an OBJ file."""
-    for line in obj.decode().splitlines():
-        if line.startswith("v "):
-            yield [float(word) for word in line.split()[1:4]]

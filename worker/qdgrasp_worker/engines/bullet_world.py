@@ -346,7 +346,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         if not self._control.is_coupled:
             self._control.stop()
 
-    def _let_stay(self) -> None:
+    def disturb(self) -> None:
         """Stop all targets, and remove the damping of the object."""
         self._target.damp(0.0)
         self._control.stop()
