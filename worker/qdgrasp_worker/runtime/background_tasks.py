@@ -13,7 +13,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
@@ -128,102 +128,79 @@ class BuildEnded:
         )
 
 
-@dataclass(eq=False)
-class BuildAttempt:
-    """One build, from its files to its end."""
+class BuilderClient:
+    """Builds one shape at a time; `report` takes the end of each, which is an answer in every case."""
 
-    job: str
-    build: Build
-    process: subprocess.Popen[bytes] | None = field(default=None, init=False)
-    is_stopped: bool = field(default=False, init=False)
+    def __init__(self, bus: Bus, report: Callable[[BuildEnded], None], nice: int = 0) -> None:
+        self._bus = bus
+        self._report = report
+        self._nice = ["nice", "-n", str(nice)] if nice else []
+        self._processes: set[subprocess.Popen[bytes]] = set()
+        self.build: Build | None = None
+        """The build that is under way."""
+
+    def start(self, job: str, build: Build) -> None:
+        """Start to build; none may be under way."""
+        self.build = build
+        start(lambda: self._report(self._run(job, build)))
+
+    def on_ended(self, ended: BuildEnded) -> bool:
+        """Note the end of a build; False if it was stopped before."""
+        is_current = self.build is ended.build
+        if is_current:
+            self.build = None
+        return is_current
 
     def stop(self) -> None:
-        """End its process, now or as soon as it starts."""
-        self.is_stopped = True
-        if self.process is not None:
-            self.process.kill()
+        """End the build that is under way, if any."""
+        self.build = None
+        for process in list(self._processes):
+            process.kill()
 
-    def run(self, bus: Bus, nice: int) -> BuildEnded:
-        """Build; the end is an answer in every case, and final if no worker can have the files."""
+    def _run(self, job: str, build: Build) -> BuildEnded:
+        """Build; final if no worker can have the files."""
         try:
             with tempfile.TemporaryDirectory(prefix="qdgrasp-shape-") as folder:
-                self._fetch(bus, Path(folder) / "files")
-                return self._build(Path(folder), ["nice", "-n", str(nice)] if nice else [])
+                for file in build.task.files:
+                    path = Path(folder) / "files" / file.name
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    path.write_bytes(fetch_bundle(self._bus, job, file.sha256))
+                return self._build(job, build, Path(folder))
         except (QdgraspError, MemoryError, OSError) as error:
-            is_final = isinstance(error, TooLarge)
             reason = str(getattr(error, "strerror", None) or error)
-            return BuildEnded(self.job, self.build, reason=reason, is_final=is_final)
+            return BuildEnded(job, build, reason=reason, is_final=isinstance(error, TooLarge))
 
-    def _fetch(self, bus: Bus, folder: Path) -> None:
-        for file in self.build.task.files:
-            path = folder / file.name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(fetch_bundle(bus, self.job, file.sha256))
-
-    def _build(self, folder: Path, nice: list[str]) -> BuildEnded:
-        task, given, found = self.build.task, folder / "task.msgpack", folder / "shape.msgpack"
-        given.write_bytes(msgspec.msgpack.encode(task))
-        command = [*nice, *BUILDER, str(given), str(folder / "files"), str(found)]
+    def _build(self, job: str, build: Build, folder: Path) -> BuildEnded:
+        given, found = folder / "task.msgpack", folder / "shape.msgpack"
+        given.write_bytes(msgspec.msgpack.encode(build.task))
+        command = [*self._nice, *BUILDER, str(given), str(folder / "files"), str(found)]
         before = children_cpu_seconds()
-        self.process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            start_new_session=True,
-        )
-        if self.is_stopped:
-            self.process.kill()
-        try:
-            _, errors = self.process.communicate(timeout=MOST_SECONDS)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            _, errors = self.process.communicate()
-        cpu_seconds, code = children_cpu_seconds() - before, self.process.returncode
+        code, errors = self._wait(build, command)
+        cpu_seconds = children_cpu_seconds() - before
         if code == 0:
-            return BuildEnded(self.job, self.build, found.read_bytes(), cpu_seconds=cpu_seconds)
+            return BuildEnded(job, build, found.read_bytes(), cpu_seconds=cpu_seconds)
         said = " ".join(errors.decode(errors="replace").split())
         ended = f"it was ended by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         reason = said if code == UNUSABLE else said[-MAX_REASON:] or ended
-        return BuildEnded(
-            self.job, self.build, reason=reason, is_final=code == UNUSABLE, cpu_seconds=cpu_seconds
-        )
+        return BuildEnded(job, build, reason=reason, is_final=code == UNUSABLE, cpu_seconds=cpu_seconds)
+
+    def _wait(self, build: Build, command: list[str]) -> tuple[int, bytes]:
+        """Exit code and errors of a builder, which is killed if its build is stopped, or takes too long."""
+        quiet, pipe = subprocess.DEVNULL, subprocess.PIPE
+        process = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=pipe, start_new_session=True)
+        self._processes.add(process)
+        if self.build is not build:
+            process.kill()
+        try:
+            _, errors = process.communicate(timeout=MOST_SECONDS)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            _, errors = process.communicate()
+        self._processes.discard(process)
+        return process.returncode, errors
 
 
 def children_cpu_seconds() -> float:
     """CPU seconds of all child processes that have ended."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
-
-
-class BuilderClient:
-    """Builds one shape at a time; `report` takes the end of each."""
-
-    def __init__(self, bus: Bus, report: Callable[[BuildEnded], None], nice: int = 0) -> None:
-        self._bus = bus
-        self._report = report
-        self._nice = nice
-        self._attempt: BuildAttempt | None = None
-
-    @property
-    def build(self) -> Build | None:
-        """The build that is under way."""
-        return self._attempt.build if self._attempt else None
-
-    def start(self, job: str, build: Build) -> None:
-        """Start to build; none may be under way."""
-        self._attempt = attempt = BuildAttempt(job, build)
-        start(lambda: self._report(attempt.run(self._bus, self._nice)))
-
-    def on_ended(self, ended: BuildEnded) -> bool:
-        """Note the end of a build; False if it was stopped before."""
-        is_current = self.build is ended.build
-        if is_current:
-            self._attempt = None
-        return is_current
-
-    def stop(self) -> None:
-        """End the build that is under way, if any."""
-        if self._attempt:
-            self._attempt.stop()
-            self._attempt = None
