@@ -6,28 +6,21 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 from tests.worker.genomes import decoded
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.voxels import convex_hulls
-from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
 from qdgrasp_worker.contact_filter import (
-    MAX_VOXELS,
     BoundingBalls,
     ContactFilter,
     coarseness,
-    interpolate_course,
-    measure_zones,
 )
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.object_geometry import ObjectSolid
-
-small = st.floats(-1.0, 1.0, width=32)
 
 
 def pose_at(position, turn) -> HandPose:
@@ -111,39 +104,6 @@ def test_where_it_says_so_the_hand_misses_in_bullet(scene, make_scene):
     misses, outcomes = judged(make_scene(*scene), 500, seed=1)
     assert misses.sum() > 50
     assert set(outcomes[misses]) <= {Outcome.MISSED}
-
-
-def along(hull, frames):
-    """The corners (n, 3) of a hull on its course of frames (m, 4, 4)."""
-    corners = hull.triangles.reshape(-1, 3)
-    return (corners @ np.moveaxis(frames[:, :3, :3], 1, 2) + frames[:, None, :3, 3]).reshape(-1, 3)
-
-
-def away(zone, frame, points):
-    turn = frame[:3, :3].T
-    return zone.lower_bounds(
-        points.astype(np.float32), turn.astype(np.float32), (-turn @ frame[:3, 3]).astype(np.float32)
-    )
-
-
-@pytest.mark.parametrize("most", [MAX_VOXELS, 30_000])
-def test_distances_are_never_too_large_and_voxels_not_too_many(most, cube, monkeypatch):
-    monkeypatch.setattr("qdgrasp_worker.contact_filter.MAX_VOXELS", most)
-    world = BulletShakenWorld(cube)
-    hand = hand_geometry(cube.gripper)
-    course = np.array(world.closing(world.opened, -1))
-    [zone] = measure_zones.__wrapped__(hand, (course.tobytes(),)).values()
-    skeleton = hand
-    frames = skeleton.frames(interpolate_course(course))
-    courses = [along(hull, frames[link][::9]) for link, hulls in skeleton.hulls.items() for hull in hulls]
-    swept = np.concatenate(courses)[::5]
-    points = np.random.default_rng(0).uniform(-0.2, 0.25, (300, 3))
-    distances = np.linalg.norm(points[:, None] - swept[None], axis=2).min(axis=1)
-    found = away(zone, np.eye(4), points) * 2e-4
-    assert (found <= distances).all()
-    assert found.max() > 0.015
-    assert zone.distances.levels.size < 1.3 * most
-    world.close()
 
 
 def test_nothing_is_known_of_a_hand_with_a_shape_that_is_not_understood(cube):

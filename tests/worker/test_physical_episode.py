@@ -6,7 +6,7 @@ from math import cos, radians, sin
 
 import numpy as np
 import pytest
-from tests.worker.genomes import draw, evaluated, results
+from tests.worker.genomes import evaluated, results
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
@@ -62,21 +62,6 @@ def test_a_jaw_centres_what_it_holds(scene):
 
 
 class TestRobustOnPhysical:
-    genomes = draw(6, near=6, seed=3)
-
-    def test_trials_disturb_the_physical_grasp(self, scene):
-        robust = physical(scene.engine, protocol="robust", base="physical")
-        nominal = evaluated(robust, "approach", self.genomes)
-        assert results(nominal) == results(evaluated(scene, "approach", self.genomes))
-        trials = np.tile(np.array([1, 2, 3]), len(self.genomes))
-        repeated = np.repeat(self.genomes, 3, axis=0)
-        disturbed = evaluated(robust, "approach", repeated, trials)
-        assert (disturbed["fitness"] <= 6).all()
-        assert (disturbed["fitness"] > 2).any()
-        assert results(disturbed) == results(evaluated(robust, "approach", repeated, trials, batch=5))
-        held = disturbed[disturbed["outcome"] == Outcome.HELD]
-        assert len(np.unique(held["joints"], axis=0)) > 1
-
     def test_the_order_of_trials_changes_none_and_a_hand_that_was_stopped_settles_farther_out(self):
         robust = build_scene(
             RunSpec(gripper="panda", object="rubiks_cube", protocol="robust", base="physical")

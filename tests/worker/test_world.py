@@ -1,7 +1,5 @@
 """The world in Bullet: loading, motion, independent episodes, and output."""
 
-import ctypes
-import os
 import tempfile
 
 import numpy as np
@@ -12,7 +10,6 @@ from qdgrasp_assets.catalog import GRIPPERS
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.bullet import quiet
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, SHAKES, TARGET_STEPS, TrialSetup
 
@@ -80,14 +77,3 @@ def test_a_hand_that_cannot_be_loaded_is_an_asset_error(change, message, cube, c
     with pytest.raises(AssetError, match=message):
         BulletShakenWorld(with_gripper(cube, **change))
     assert capfd.readouterr().out == ""
-
-
-def test_what_c_prints_meanwhile_is_not_seen_even_if_it_is_written_late(capfd):
-    with quiet():
-        ctypes.CDLL(None).printf(b"from C, buffered\n")
-        os.write(1, b"from C, at once\n")
-        os.write(2, b"a warning\n")
-    ctypes.CDLL(None).fflush(None)
-    seen = capfd.readouterr()
-    assert seen.out == ""
-    assert seen.err == ""
