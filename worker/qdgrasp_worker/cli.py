@@ -102,8 +102,8 @@ def worker(
 ) -> None:
     """Evaluate grasps for the jobs on a bus, with one simulator on one core for each worker.
 
-    It needs nothing but this package: scenes come over the bus. SIGTERM lets the batch in work be finished if
-    that fits into the grace, SIGINT (Ctrl-C) ends at once; nothing is lost either way.
+    It needs nothing but this package: scenes come over the bus. SIGTERM lets the batch in work be finished
+    within the grace, SIGINT (Ctrl-C) ends at once; nothing is lost either way.
 
     Example: qdgrasp-worker --connect tls/head:7447 --security security --workers 4
     """

@@ -132,13 +132,14 @@ def test_after_sigterm_the_batch_in_work_is_finished_and_others_are_handed_back(
     assert office.answered() == [0, 1]
 
 
-def test_a_batch_that_is_not_finished_within_the_grace_is_handed_back(office, hire):
+def test_a_batch_that_is_not_finished_within_the_grace_is_not_answered(office, hire):
     worker = hire(grace=1.0)
     office.give(work(0), work(1, n=3, row_1=HANG))
     office.wait(lambda: office.results, "a result")
     worker.leave()
     worker.ends()
-    assert (office.joins[-1].credit, office.joins[-1].held) == (0, [])
+    assert (office.joins[-1].credit, office.joins[-1].held) == (0, [work(1).batch])
+    assert not office.workers
     assert office.answered() == [0]
 
 

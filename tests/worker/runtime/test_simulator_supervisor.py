@@ -94,7 +94,7 @@ class Supervision:
 
     def submit(self, task: BatchProgress, bundle: bytes = SCENE) -> None:
         known = self.supervisor.has_scene(task.work.scene)
-        self.supervisor.submit(task, None if known else bundle, monotonic())
+        self.supervisor.submit(task, None if known else bundle)
 
     def give(self, batch: Work, bundle: bytes = SCENE) -> None:
         """Have a batch begun, as soon as there is room."""

@@ -56,7 +56,6 @@ log = structlog.get_logger()
 
 HEARTBEAT_INTERVAL = 1.0  # Seconds between two heartbeats
 MAX_SCENES = 8  # Scenes kept in memory; the oldest is dropped first, and requested again if needed
-HAND_BACK_SECONDS = 0.5  # The last seconds of a grace, in which a batch that was not finished is handed back
 
 
 @dataclass(frozen=True)
@@ -80,13 +79,14 @@ Inbox: TypeAlias = "SimpleQueue[Event]"
 class GracefulShutdown:
     """Decides when a worker that is asked to stop ends. Pure: time is passed in.
 
-    It ends at once, or when the batch in work is done if that fits into `grace` seconds, and the jobs know
-    which batches are handed back.
+    It ends when the batch in work is done and the jobs know which batches are handed back, after `grace`
+    seconds at most: its coordinators then have its leases from the end of its tokens.
     """
 
     def __init__(self, grace: float) -> None:
         self._grace = grace
-        self._finish_by = self._end_by = inf
+        self.deadline = inf
+        """Time at which it ends at the latest; infinite: no stop was asked for."""
         self.last_batch: BatchProgress | None = None
         """The batch that is to be finished before."""
         self.uninformed: set[str] = set()
@@ -95,31 +95,19 @@ class GracefulShutdown:
     @property
     def has_begun(self) -> bool:
         """True if no new batch is begun any more."""
-        return self._end_by < inf
-
-    @property
-    def deadline(self) -> float:
-        """Latest time of the next action; infinite: no stop was asked for."""
-        return self._end_by if self.last_batch is None else self._finish_by
+        return self.deadline < inf
 
     def stop_now(self) -> None:
         """End at once, with or without a batch in work."""
-        self._end_by = -inf
+        self.deadline = -inf
 
     def start(self, head: BatchProgress | None, now: float) -> None:
-        """End soon, with `head`, the batch in work, finished before if that fits."""
-        self._finish_by = now + self._grace - HAND_BACK_SECONDS
-        self._end_by = now + max(self._grace, HAND_BACK_SECONDS)
-        if head is not None and now + head.seconds_left(now) <= self._finish_by:
-            self.last_batch = head
-
-    def is_late(self, now: float) -> bool:
-        """Return whether the last batch has to be handed back now."""
-        return self.last_batch is not None and now >= self._finish_by
+        """End soon, after `head`, the batch in work."""
+        self.deadline, self.last_batch = now + self._grace, head
 
     def is_over(self, now: float) -> bool:
         """Return whether it is time to end."""
-        return now >= self._end_by or (self.has_begun and self.last_batch is None and not self.uninformed)
+        return now >= self.deadline or (self.has_begun and self.last_batch is None and not self.uninformed)
 
 
 class WorkerService:
@@ -200,10 +188,8 @@ class WorkerService:
             self._heartbeat_at = now + HEARTBEAT_INTERVAL
             self._send_heartbeat(has_run=self._simulator.on_heartbeat())
         self._simulator.step(now)
-        self._submit_batches(now)
+        self._submit_batches()
         self._begin_build()
-        if self._shutdown.is_late(now):
-            self._hand_back_all(now)
         if self._simulator.platform is not None:
             is_open = self._simulator.is_ready and not self._shutdown.has_begun
             self._jobs.join_due(now, self._simulator.platform, is_open=is_open)
@@ -293,7 +279,7 @@ class WorkerService:
                 self._hand_back(task, now)
 
     def _begin_shutdown(self, now: float) -> None:
-        """Leave: after SIGTERM with the batch in work if it fits, after SIGINT at once."""
+        """Leave: after SIGTERM with the batch in work, after SIGINT at once."""
         if self._stop.latest != signal.SIGTERM:
             self._shutdown.stop_now()
         elif not self._shutdown.has_begun:
@@ -302,7 +288,7 @@ class WorkerService:
             self._shutdown.start(head if session is not None and session.has_coordinator else None, now)
             self._hand_back_all(now)
 
-    def _submit_batches(self, now: float) -> None:
+    def _submit_batches(self) -> None:
         while self._simulator.has_room and (task := self._next_batch()) is not None:
             scene = task.work.scene
             if self._simulator.is_fatal(scene):
@@ -310,7 +296,7 @@ class WorkerService:
                 self._finish(task)
             else:
                 bundle = None if self._simulator.has_scene(scene) else self._scenes[scene]
-                self._simulator.submit(task, bundle, now)
+                self._simulator.submit(task, bundle)
 
     def _begin_build(self) -> None:
         """Begin the next build, if none is under way; end one that is not wanted any more.
@@ -380,8 +366,6 @@ class WorkerService:
             session.join_later(now, jitter())
 
     def _hand_back_all(self, now: float) -> None:
-        if self._shutdown.is_late(now):
-            self._shutdown.last_batch = None
         last = self._shutdown.last_batch
         for session in self._jobs:
             if session.has_coordinator and session.held:

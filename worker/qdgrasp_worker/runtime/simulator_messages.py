@@ -1,8 +1,7 @@
 """Messages between a worker and its simulator, and the pipe that carries them.
 
 Frozen structs in MessagePack. Answers come in the order of the questions, so that neither carries a number.
-`BatchProgress` gathers the answers to one batch; it is pure: time is passed in, in seconds of any steady
-clock.
+`BatchProgress` gathers the answers to one batch.
 """
 
 from dataclasses import dataclass, field
@@ -139,10 +138,6 @@ class BatchProgress:
     """Its scene was sent along, and is not loaded yet."""
     done: int = 0
     """Number of its rows that are known."""
-    since: float = 0.0
-    """Time at which the present simulator began it."""
-    done_before: int = 0
-    """Number of its rows that were known then."""
     cpu_seconds: float = 0.0
     _parts: list[PartialResult] = field(default_factory=list)
     _failures: list[Failure] = field(default_factory=list)
@@ -151,15 +146,6 @@ class BatchProgress:
     def is_done(self) -> bool:
         """True if all rows are known."""
         return self.done >= self.work.n
-
-    def seconds_left(self, now: float) -> float:
-        """Seconds for the rest at the same pace; before the first row, as many as have passed."""
-        passed, found = now - self.since, self.done - self.done_before
-        return passed / found * (self.work.n - self.done) if found else passed
-
-    def begin(self, now: float) -> None:
-        """Note that a simulator begins with its rows that are not known."""
-        self.since, self.done_before = now, self.done
 
     def request(self, bundle: bytes | None) -> EvaluateRows:
         """Return the request to evaluate the rows that are not known yet, with the scene if given."""

@@ -262,14 +262,13 @@ class SimulatorSupervisor:
         """Return whether a scene crashed too many simulators at loading to be tried again."""
         return self._load_crashes[digest] >= MAX_LOAD_CRASHES
 
-    def submit(self, task: BatchProgress, bundle: bytes | None, now: float) -> None:
+    def submit(self, task: BatchProgress, bundle: bytes | None) -> None:
         """Let the simulator evaluate a batch, with its scene unless it has that."""
         if self.head is None:
             self._silence = 0
         self._simulator.send(task.request(bundle))
         if task is self.next_requeued:
             self._requeued.popleft()
-        task.begin(now)
         self._sent.append(task)
         self._scenes.add(task.work.scene)
 
@@ -287,10 +286,10 @@ class SimulatorSupervisor:
         if event.simulator is not self._simulator or self.restart_at < inf:
             return []
         if isinstance(event, SimulatorSaid):
-            return self._on_message(event.message, now)
+            return self._on_message(event.message)
         return self._on_end(event, now)
 
-    def _on_message(self, message: AnySimulatorMessage, now: float) -> list[BatchProgress]:
+    def _on_message(self, message: AnySimulatorMessage) -> list[BatchProgress]:
         self._silence = 0
         match message:
             case SimulatorReady(platform=platform):
@@ -317,8 +316,6 @@ class SimulatorSupervisor:
         if not head.is_done:
             return []
         self._sent.popleft()
-        if self.head is not None:
-            self.head.begin(now)
         return [head]
 
     def _pause(self, reason: str | None, now: float) -> float:
