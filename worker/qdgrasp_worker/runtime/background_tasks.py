@@ -129,7 +129,7 @@ class BuildEnded:
 
 
 class BuilderClient:
-    """Builds one shape at a time; `report` takes the end of each, which is an answer in every case."""
+    """Builds one shape at a time; `report` takes the end of each, an answer in every case."""
 
     def __init__(self, bus: Bus, report: Callable[[BuildEnded], None], nice: int = 0) -> None:
         self._bus = bus
@@ -185,7 +185,7 @@ class BuilderClient:
         return BuildEnded(job, build, reason=reason, is_final=code == UNUSABLE, cpu_seconds=cpu_seconds)
 
     def _wait(self, build: Build, command: list[str]) -> tuple[int, bytes]:
-        """Exit code and errors of a builder, which is killed if its build is stopped, or takes too long."""
+        """Exit code and errors of a builder, killed if its build is stopped or takes too long."""
         quiet, pipe = subprocess.DEVNULL, subprocess.PIPE
         process = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=pipe, start_new_session=True)
         self._processes.add(process)
