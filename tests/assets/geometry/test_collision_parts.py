@@ -17,7 +17,7 @@ from qdgrasp_assets.geometry.collision_parts import (
     simplify_part,
 )
 from qdgrasp_assets.geometry.mesh import Mesh, box, geodesic, heights, hull
-from qdgrasp_assets.stand_ins import mug
+from qdgrasp_assets.stand_ins import stand_in
 from qdgrasp_protocol.errors import AssetError, UnreadableHere
 
 CORNERS = [(0, 0), (0.06, 0), (0.06, 0.02), (0.02, 0.02), (0.02, 0.06), (0, 0.06)]
@@ -128,6 +128,12 @@ def test_no_corner_that_is_left_out_was_far_outside_and_none_is_added(scale) -> 
     assert heights(part, round_part.vertices).max() <= CORNER_TOLERANCE
     assert heights(round_part, part.vertices).max() < 1e-9
     assert trimesh.Trimesh(part.vertices, part.faces, process=False).is_volume
+
+
+def mug() -> tuple[Mesh, tuple[Mesh, ...]]:
+    """Surface and parts of the mug, around its cup's axis."""
+    target, shift = stand_in("mug"), (0.0207, -0.0174, 0.0005)
+    return target.mesh.moved(shift), tuple(part.moved(shift) for part in target.parts)
 
 
 SLIT, WIDE = 0.004, 0.03
