@@ -37,7 +37,7 @@ from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.options import host_and_port
 from qdgrasp_tools.local.progress import progress_display
 from qdgrasp_tools.local.supervisor import LocalJobConfig
-from qdgrasp_tools.report.row_report import row_report
+from qdgrasp_tools.report.row_report import report_table, row_report
 from qdgrasp_tools.verification.verify import choose_rows, compare_engine, run_folders_at, verify_rows
 
 
@@ -97,7 +97,7 @@ def show(
     Example: qdgrasp show runs/demo --grasp 17
     """
     found = row_report(RunFolder.open(directory), grasp)
-    echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+    echo(json.dumps(found) if as_json else report_table(found))
 
 
 def digest(directory: options.RunDir) -> None:
