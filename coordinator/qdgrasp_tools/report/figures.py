@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS_WORDS, NU_BINS
-from qdgrasp_coordinator.metrics.successes import ROBUST, TrialPlan, survival
+from qdgrasp_coordinator.metrics.successes import ROBUST, survival
 from qdgrasp_coordinator.search import registry
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Rows
@@ -35,7 +35,6 @@ from qdgrasp_tools.report.run_groups import (
     RunHistory,
     SceneName,
     grouped_by,
-    mean_interval,
     sample_end,
 )
 
@@ -203,15 +202,14 @@ class NuDistribution:
     variant: str
     share: NDArray[np.float64]
     """(24,): mean over runs of the share of successes in each bin."""
-    near: tuple[float, ...]
-    """Of each run with a success that has a nu, the share below pi / 4."""
+    runs: int
+    """Runs with a success that has a nu."""
 
     @property
     def words(self) -> str:
-        """The mean share below pi / 4, with its interval."""
-        interval = mean_interval(self.near)
-        span = "" if interval is None else f" ({interval[0]:.0%} to {interval[1]:.0%})"
-        return f"{np.mean(self.near):.0%} below \u03c0/4{span}, {counted(len(self.near), 'run')}"
+        """The mean share below pi / 4."""
+        near = self.share[: NU_BINS // 4].sum()
+        return f"{near:.0%} below \u03c0/4, {counted(self.runs, 'run')}"
 
 
 def nu_distributions(groups: Sequence[RunGroup]) -> list[NuDistribution]:
@@ -225,8 +223,7 @@ def nu_distributions(groups: Sequence[RunGroup]) -> list[NuDistribution]:
         for arm, runs in arms.items():
             if runs:
                 share = np.mean([np.array(run.nu.bins) / sum(run.nu.bins) for run in runs], axis=0)
-                near = tuple(run.nu.below_quarter_pi or 0.0 for run in runs)
-                found.append(NuDistribution(scene.gripper, *arm, share, near))
+                found.append(NuDistribution(scene.gripper, *arm, share, len(runs)))
     return found
 
 
@@ -261,7 +258,6 @@ def _draw_distribution(axes: Axes, lean: NuDistribution) -> None:
 MOST_VOXEL_ROWS = 8  # Scenes whose cells are drawn; of more, those of the object that most hands have
 VOXEL_PANEL, VOXEL_PIXELS = (2.8, 3.1), 420
 TRIAD_LENGTH = 0.085  # Of the object's axes, as a share of a view's height
-LEGEND_ETAS = (0.0, 0.25, 0.5, 0.75, 1.0)  # Etas that are named in the legend of robust runs
 
 
 @dataclass(frozen=True)
@@ -273,8 +269,6 @@ class RunVoxels:
     scene: Scene
     best: Rows
     """(n,): the fittest success of each cell, of equals the first; `fitness` sums its trials."""
-    eta: NDArray[np.float64] | None
-    """(n,): share of disturbances survived in all trials; None where the protocol has none."""
 
     @property
     def places(self) -> NDArray[np.int64]:
@@ -285,9 +279,7 @@ class RunVoxels:
     def words(self) -> str:
         """Caption: the number of cells, and their robustness."""
         found = counted(len(self.best), "cell", told="{:,}".format)
-        if self.eta is None:
-            return f"{found}, {int((survival(self.best) == ROBUST).sum()):,} robust"
-        return f"{found}, median \u03b7 {np.median(self.eta) if len(self.eta) else 0:.2f}"
+        return f"{found}, {int((survival(self.best) == ROBUST).sum()):,} robust"
 
 
 def drawn_methods(groups: Sequence[RunGroup]) -> list[str]:
@@ -316,7 +308,13 @@ def run_voxels(groups: Sequence[RunGroup], methods: Sequence[str]) -> list[list[
     for scene, found in chosen.items():
         if most in ("", scene.object):
             runs = [_median_run(found[method]) for method in methods if method in found]
-            rows.append([_voxels_of_run(scene, run) for run in runs if RunFolder(run.path).has_bundle()])
+            there = [(RunFolder(run.path), run) for run in runs if RunFolder(run.path).has_bundle()]
+            rows.append(
+                [
+                    RunVoxels(scene, run, folder.scene(), best_in_cells(folder.successes().scored))
+                    for folder, run in there
+                ]
+            )
     return [row for row in rows if row]
 
 
@@ -324,12 +322,6 @@ def _median_run(group: RunGroup) -> RunHistory:
     """Return the run with the median number of cells; of an even number, the one below."""
     ordered = sorted(group.finished_runs, key=lambda run: run.cells.end)
     return ordered[(len(ordered) - 1) // 2]
-
-
-def _voxels_of_run(name: SceneName, run: RunHistory) -> RunVoxels:
-    folder, plan = RunFolder(run.path), TrialPlan.of(run.spec)
-    best = best_in_cells(folder.successes().scored)
-    return RunVoxels(name, run, folder.scene(), best, plan.eta(best["fitness"]) if plan.trials else None)
 
 
 def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> Figure:
@@ -340,7 +332,7 @@ def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> 
     everything = [one for row in rows for one in row]
     drawn = [method for method in methods if any(one.run.spec.method == method for one in everything)]
     title = "Where methods had successes: cells of 1 cm, by the most robust success"
-    figure, panels = panel_figure(len(rows), len(drawn), VOXEL_PANEL, title, _voxel_legend(everything))
+    figure, panels = panel_figure(len(rows), len(drawn), VOXEL_PANEL, title, _voxel_legend())
     for row, row_panels in zip(rows, panels, strict=True):
         beside = [one for one in everything if one.name.object == row[0].name.object]
         largest = max(beside, key=lambda one: len(one.best))
@@ -352,7 +344,7 @@ def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> 
 
 
 def _draw_cells(axes: Axes, one: RunVoxels, azimuth: float, beside: Sequence[NDArray[np.int64]]) -> None:
-    hues = hues_of_survival(survival(one.best)) if one.eta is None else _hues_of_eta(one.eta)
+    hues = hues_of_survival(survival(one.best))
     view = view_of_cells(one.scene, one.best, azimuth, VOXEL_PIXELS, hues, beside)
     found = one.words + ("" if view.is_uncut else "; cut open")
     found += "" if view.block == 1 else f"; blocks of {view.block} cm"
@@ -365,15 +357,8 @@ def _draw_cells(axes: Axes, one: RunVoxels, azimuth: float, beside: Sequence[NDA
     axes.set_title(heading, loc="left", size=8, color=hue_of(method))
 
 
-def _hues_of_eta(eta: NDArray[np.float64]) -> NDArray[np.float32]:
-    return np.asarray(matplotlib.colormaps["viridis_r"](eta)[:, :3], dtype=np.float32)
-
-
-def _voxel_legend(shown: Sequence[RunVoxels]) -> list[Line2D]:
-    fitness = [(to_rgb(hue), words) for hue, words in zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)]
-    etas = [(tuple(_hues_of_eta(np.array([eta]))[0]), f"\u03b7 = {eta:g}") for eta in LEGEND_ETAS]
-    kinds = {one.eta is None for one in shown}
+def _voxel_legend() -> list[Line2D]:
     return [
-        Line2D([], [], linestyle="none", marker="s", markersize=8, color=hue, label=words)
-        for hue, words in [*(fitness if True in kinds else []), *(etas if False in kinds else [])]
+        Line2D([], [], linestyle="none", marker="s", markersize=8, color=to_rgb(hue), label=words)
+        for hue, words in zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)
     ]

@@ -49,8 +49,8 @@ class CampaignReport:
     out: Path
     groups: list[RunGroup]
     panels: list[CurvePanel]
-    left_out: dict[str, str]
-    """By name of a figure, the reason why it was not drawn."""
+    left_out: list[str]
+    """Figures that have nothing to show."""
     repeats: list[str]
     """Runs that were left out: another run of the same search is as long, or longer."""
 
@@ -99,36 +99,31 @@ def write_report(path: Path, out: Path, references: Sequence[Path] = ()) -> Camp
     scenes, hands = scene_panels(begun), hand_panels(begun)
     pooled = [panel for panel in hands if panel.scene not in {one.scene for one in scenes}]
     figures = _figures(begun)
-    left_out = {name: why for name, why in figures.items() if isinstance(why, str)}
     with folder.writing() as made:
         made.mkdir()
         for name, figure in figures.items():
-            if isinstance(figure, Figure):
-                write_figure(figure, made / name)
+            write_figure(figure, made / name)
         (made / RUNS_FILE).write_text(csv_text(run_rows(groups)), encoding="utf-8")
         (made / CURVES_FILE).write_text(csv_text(curve_rows([*scenes, *pooled])), encoding="utf-8")
+    left_out = [name for name in FIGURES if name not in figures]
     return CampaignReport(out, groups, scenes, left_out, [run.path.absolute().name for run in copies])
 
 
-def _figures(begun: Sequence[RunGroup]) -> dict[str, Figure | str]:
-    """Draw each figure of the paper; returns the reason where one has nothing to show."""
+def _figures(begun: Sequence[RunGroup]) -> dict[str, Figure]:
+    """Draw each figure of the paper that has something to show."""
     searched = {group.scene for group in begun if family_of(group.method) != "rand"}
     compared = hand_panels([group for group in begun if group.method in COMPARED_METHODS])
     variants = hand_panels([group for group in begun if group.scene in searched])
     distributions = nu_distributions(begun)
     drawn = drawn_methods(begun)
     voxels = run_voxels(begun, drawn)
-    none = ("no method of it is here", "no run is of a search", "no success has a nu", "nothing was found")
-    found: tuple[Figure | Sequence[object], ...] = (
+    found = (
         compared and draw_curves(compared, "Searches and standard sampling schemes"),
         variants and draw_curves(variants, "Searches with and without priors"),
         distributions and draw_nu(distributions),
         voxels and draw_voxels(voxels, drawn),
     )
-    return {
-        name: one if isinstance(one, Figure) else why
-        for name, one, why in zip(FIGURES, found, none, strict=True)
-    }
+    return {name: one for name, one in zip(FIGURES, found, strict=True) if isinstance(one, Figure)}
 
 
 def is_ours(folder: Path) -> bool:

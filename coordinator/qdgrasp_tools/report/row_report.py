@@ -77,7 +77,7 @@ UNITS = dict.fromkeys(("penetration", "moved", "com_in_mesh", "surface_point"), 
 
 
 def report_table(report: dict[str, Any]) -> str:
-    """Return the fields of a row's report in words, one to a line, and one for each item of a list."""
+    """Return a row's report in words: a line for each field, or for each item of a list."""
     return "\n".join(line for name, value in report.items() for line in _lines(name, value))
 
 
@@ -103,7 +103,7 @@ def _words(value: object) -> str:
 
 
 def row_report(folder: RunFolder, number: int) -> dict[str, Any]:
-    """Report all that is known about a row, by its number in the journal, also while the run goes on.
+    """Return all that is known about a row, by its number in the journal.
 
     Plain values by name: positions [m] in the object's CoM frame, angles [rad], forces [N]; None where there
     is nothing. Raises NoSuchRow, or FolderError if the folder cannot be read.
@@ -196,7 +196,7 @@ def _trial_fitness(journal: Journal, row: np.void, behind: range, most: int) -> 
 
 
 def _contacts(row: np.void, gripper: SceneGripper) -> Iterator[dict[str, Any]]:
-    """Yield contacts after closing: points on the object, unit normals into it, forces along them."""
+    """Yield contacts: points on the object, unit normals into it, forces along them."""
     values = row["contact_points"].astype(float).reshape(-1, CONTACT_VALUES).tolist()
     for link, (*vectors, force) in zip(row["contact_links"].tolist(), values, strict=True):
         if link:
@@ -205,7 +205,7 @@ def _contacts(row: np.void, gripper: SceneGripper) -> Iterator[dict[str, Any]]:
 
 
 def _pose(values: NDArray[np.float32], gripper: SceneGripper) -> dict[str, Any] | None:
-    """Return the pose of the hand's root link; None: there is none."""
+    """Return the pose of the hand's root link, or None without one."""
     pose = values.tolist()
     if not any(pose[3:]):
         return None
@@ -222,7 +222,7 @@ def _joints(row: np.void, gripper: SceneGripper) -> Iterator[dict[str, Any]]:
 
 
 def _gene_values(row: np.void, scene: Scene, prior: str) -> Iterator[dict[str, Any]]:
-    """Yield genes in [-1, 1], under the prior `given` the values themselves, and what they stand for."""
+    """Yield genes in [-1, 1] with the values that they stand for; equal under `given`."""
     known = GenomeReader.of(scene, prior)
     (values,) = known.values(row["genome"][None]).tolist()
     for name, gene, value in zip(known.layout.names, row["genome"].tolist(), values, strict=False):
