@@ -13,13 +13,13 @@ WITHOUT_BULLET := tests/protocol tests/worker/engines tests/coordinator/storage 
   $(wildcard $(addprefix tests/worker/test_,$(addsuffix .py,decoder evaluator physical_episode platform start)))
 # A minute of what needs neither processes nor long simulations.
 QUICK := tests/protocol tests/coordinator/scheduler tests/coordinator/storage tests/coordinator/recorder \
-  tests/tools/local tests/tools/security tests/worker/filters tests/assets/grippers tests/test_repository.py
+  tests/tools/local tests/tools/security tests/worker/test_decoder.py tests/worker/test_priors.py tests/test_repository.py
 
 .PHONY: help demo test test-quick test-mujoco test-slow test-docs test-gpu check docs fuzz chaos simulate bench grasp-bench lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo, ENGINE=mujoco)"
 	@echo "make test    the test suite; make test-slow: more scenarios, some take minutes"
-	@echo "make test-quick   a part of it that takes a minute"
+	@echo "make test-quick   a part of it that takes a minute and a half"
 	@echo "make test-docs   every command of README.md and docs/, also those that take long"
 	@echo "make test-mujoco   quick tests of what works without PyBullet; CI runs them in a later Python too (.ci/later)"
 	@echo "make test-gpu    tests of the engine mujoco-warp, on warp's CPU device or that of QDGRASP_DEVICE (.venv-gpu)"
