@@ -9,7 +9,7 @@ import threading
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import msgspec
 import typer
@@ -24,7 +24,7 @@ from qdgrasp_coordinator.storage.tables import aligned_text
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EXTRAS, ImpossibleValue, InputError, check_packages
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.text import parse_numbers, printable
+from qdgrasp_protocol.text import printable
 from qdgrasp_tools.campaign.summaries import (
     SORT_KEYS,
     campaign_objects,
@@ -165,7 +165,7 @@ def verify(
         raise typer.Exit(1)
 
 
-RenderFlag = Literal["all", "closing", "shakes"]
+LEAST_PIXELS, MOST_PIXELS = 240, 3840  # Along a side of a picture
 
 
 def render(
@@ -178,9 +178,6 @@ def render(
     ],
     grasp: Annotated[int, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")],
     trial: Annotated[int | None, typer.Option(min=0, help="Show this trial of the grasp instead.")] = None,
-    what: Annotated[
-        RenderFlag | None, typer.Option(help="Which part of the evaluation a film has; default: all.")
-    ] = None,
     size: Annotated[
         str | None,
         typer.Option(
@@ -189,18 +186,7 @@ def render(
             help="Width and height [pixels]; default: 640x560.",
         ),
     ] = None,
-    view: Annotated[
-        str | None,
-        typer.Option(
-            "--from",
-            metavar="AZIMUTH,ELEVATION",
-            help="Where the camera stands about the object's z [deg]; default: where most is seen.",
-        ),
-    ] = None,
-    pregrasp: Annotated[
-        bool, typer.Option("--pregrasp", help="Draw the open hand in its commanded pose, before closing.")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    force: options.Force = False,
 ) -> None:
     """Carry one evaluation of a run out again and draw it.
 
@@ -210,33 +196,20 @@ def render(
 
     Example: qdgrasp render runs/demo --grasp 17 -o grasp.gif
     """
-    from qdgrasp_tools.verification.replay import (
-        LARGEST,  # what draws takes its time to load
-        SMALLEST,
-        PictureOptions,
+    from qdgrasp_tools.verification.replay import (  # what draws takes its time to load
+        PICTURE_SIZE,
         difference_reason,
         replay_target,
         write_evaluation,
     )
 
-    output = OutFile(out, suffixes=tuple(LARGEST), force=force)
+    output = OutFile(out, suffixes=(".png", ".gif"), force=force)
     output.check()
-    suffix = out.suffix.lower()
-    is_film = suffix == ".gif"
-    if what is not None and not is_film:
-        raise InputError(f"--what chooses a part of a film, and {out} is a picture: name a .gif.")
-    if pregrasp and is_film:
-        raise InputError(f"--pregrasp draws one picture, and {out} is a film: name a .png.")
-    wish = PictureOptions(
-        _picture_size(size, SMALLEST, LARGEST[suffix], suffix) if size else PictureOptions.size,
-        _camera_view(view),
-        (what or "all") if is_film else None,
-        pregrasp,
-    )
+    pixels = PICTURE_SIZE if size is None else _picture_size(size)
     shown = replay_target(RunFolder.open(directory), grasp, trial)
     echo(f"replaying row {shown.number} of {directory}", err=True)
     with lifetime("qdgrasp render") as stop:
-        unlike = write_evaluation(shown, wish, output, stop)
+        unlike = write_evaluation(shown, pixels, output, stop)
         if stop.is_set:
             raise typer.Exit(stop.exit_code)
         if unlike:
@@ -246,27 +219,12 @@ def render(
         raise typer.Exit(1)
 
 
-def _picture_size(
-    text: str, smallest: tuple[int, int], largest: tuple[int, int], suffix: str
-) -> tuple[int, int]:
+def _picture_size(text: str) -> tuple[int, int]:
     match text.lower().split("x"):
         case [width, height] if width.isdecimal() and height.isdecimal():
-            size = int(width), int(height)
-            if all(low <= side <= high for low, side, high in zip(smallest, size, largest, strict=True)):
-                return size
-    least, most = ("x".join(map(str, size)) for size in (smallest, largest))
-    raise ImpossibleValue("--size", text, f"{least} to {most} for a {suffix}")
-
-
-def _camera_view(text: str | None) -> tuple[float, float] | None:
-    if text is None:
-        return None
-    match parse_numbers(text):
-        case [azimuth, elevation] if abs(azimuth) <= 360.0 and abs(elevation) <= 90.0:
-            return azimuth, elevation
-    raise ImpossibleValue(
-        "--from", text, "AZIMUTH,ELEVATION in degrees, -360 to 360 and -90 to 90, as in 40,25"
-    )
+            if min(int(width), int(height)) >= LEAST_PIXELS and max(int(width), int(height)) <= MOST_PIXELS:
+                return int(width), int(height)
+    raise ImpossibleValue("--size", text, f"as 640x560, each side {LEAST_PIXELS} to {MOST_PIXELS} pixels")
 
 
 LOCAL_PAGE = "127.0.0.1:0"

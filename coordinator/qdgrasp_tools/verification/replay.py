@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -168,12 +168,8 @@ def _run_process(folder: Path, stop: Stop) -> None:
 STEPS_PER_FRAME = 6  # Least number of steps of 1/240 s from one frame to the next
 FRAME_SECONDS = 0.08  # Seconds for which a frame of so many steps is shown: 3.2 times slower than simulated
 REST_SECONDS = 0.96  # Seconds for which the hand rests before it closes, when it has closed, and at the end
-ReplayPart = Literal["all", "closing", "shakes"]
-PARTS: dict[ReplayPart, tuple[Phase, ...]] = {
-    "all": ("placed", "closing", "settling", "shake z", "shake x", "pushes", "lift"),
-    "closing": ("placed", "closing", "settling"),
-    "shakes": ("shake z", "shake x", "pushes", "lift"),
-}
+CLOSING: tuple[Phase, ...] = ("placed", "closing", "settling")
+"""The phases up to the grasp; those after it disturb it."""
 
 
 class TimedSnapshot(NamedTuple):
@@ -183,23 +179,19 @@ class TimedSnapshot(NamedTuple):
     seconds: float
 
 
-def still_snapshot(snapshots: Sequence[Snapshot], *, pregrasp: bool = False) -> Snapshot:
-    """The hand after closing; as it was placed where it did not close, and with `pregrasp`."""
-    phases = ("placed",) if pregrasp else PARTS["closing"]
-    return [snapshot for snapshot in snapshots if snapshot.phase in phases][-1]
+def still_snapshot(snapshots: Sequence[Snapshot]) -> Snapshot:
+    """The hand after closing; as it was placed where it did not close."""
+    return [snapshot for snapshot in snapshots if snapshot.phase in CLOSING][-1]
 
 
-def film_snapshots(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Outcome) -> list[TimedSnapshot]:
-    """The snapshots of one part of an evaluation, in time; an InputError if it did not happen.
+def film_snapshots(snapshots: Sequence[Snapshot]) -> list[TimedSnapshot]:
+    """The snapshots of a film, in time.
 
     These are the first and the last of each phase, and between them one every `STEPS_PER_FRAME` steps, or the
     next one after that. Each is shown until the time of the next.
     """
-    chosen = [snapshot for snapshot in snapshots if snapshot.phase in PARTS[what]]
-    if not chosen:
-        raise InputError(f"This evaluation has no {what} to show: its outcome is {outcome.name.lower()}.")
     frames = list[Snapshot]()
-    for snapshot, following in zip(chosen, [*chosen[1:], None], strict=True):
+    for snapshot, following in zip(snapshots, [*snapshots[1:], None], strict=True):
         is_first = not frames or frames[-1].phase != snapshot.phase
         is_last = following is None or following.phase != snapshot.phase
         if is_first or is_last or snapshot.step - frames[-1].step >= STEPS_PER_FRAME:
@@ -209,7 +201,7 @@ def film_snapshots(snapshots: Sequence[Snapshot], what: ReplayPart, outcome: Out
         seconds = FRAME_SECONDS
         if next_frame and next_frame.phase == frame.phase:
             seconds *= (next_frame.step - frame.step) / STEPS_PER_FRAME
-        elif next_frame is None or frame.phase in PARTS["closing"]:
+        elif next_frame is None or frame.phase in CLOSING:
             seconds = REST_SECONDS
         shown.append(TimedSnapshot(frame, seconds))
     return shown
@@ -301,47 +293,29 @@ def pose_frame(pose: Pose) -> NDArray[np.float64]:
     return frame
 
 
-SMALLEST, LARGEST = (320, 240), {".png": (3840, 2160), ".gif": (1280, 960)}
-"""Least width and height of a picture, and the greatest by file ending: a film has some ninety frames."""
 PALETTE_FRAMES = 8  # Frames that a film's colours are taken from
-
-
-@dataclass(frozen=True)
-class PictureOptions:
-    """Choices for the drawing of an evaluation."""
-
-    size: tuple[int, int] = (640, 560)
-    """Width and height [pixels]."""
-    view: tuple[float, float] | None = None
-    """Azimuth and elevation of the camera [deg]; None: those that show most."""
-    what: ReplayPart | None = None
-    """The part that is filmed; None: a still."""
-    pregrasp: bool = False
-    """True: a still shows the hand as it is placed, before closing."""
+PICTURE_SIZE = (640, 560)  # Width and height [pixels], unless it is asked for
 
 
 def write_evaluation(
-    shown: ReplayTarget, options: PictureOptions, out: OutFile, stop: Stop
+    shown: ReplayTarget, size: tuple[int, int], out: OutFile, stop: Stop
 ) -> dict[str, comparison.ComparedValues]:
-    """Replay a row and write its picture, or its film.
+    """Replay a row and write its picture, or its film if the file is a GIF.
 
-    Returns what the replay found in place of what is recorded, column by column; nothing where they agree,
-    and of a dead end, which was not simulated. Raises InputError if the part that is asked for did not
-    happen, or the file cannot be written, and ReplayFailed if it could not be replayed.
+    `size` is width and height [pixels]. Returns what the replay found in place of what is recorded, column by column; nothing where they agree,
+    and of a dead end, which was not simulated. Raises InputError if the file cannot be written, and
+    ReplayFailed if it could not be replayed.
     """
     answer = replay_evaluation(shown, stop)
     if answer is None:
         return {}
-    still = still_snapshot(answer.snapshots, pregrasp=options.pregrasp)
-    frames = [TimedSnapshot(still, REST_SECONDS)]
-    if options.what:
-        frames = film_snapshots(answer.snapshots, options.what, shown.outcome)
+    still, is_film = still_snapshot(answer.snapshots), out.path.suffix.lower() == ".gif"
+    frames = film_snapshots(answer.snapshots) if is_film else [TimedSnapshot(still, REST_SECONDS)]
     painter = SnapshotRenderer(shown.scene)
-    view = options.view or painter.best_view(still)
-    camera = painter.fit([still, *(frame.snapshot for frame in frames)], view, options.size)
+    camera = painter.fit([still, *(frame.snapshot for frame in frames)], painter.best_view(still), size)
     images = [painter.draw(frame.snapshot, camera) for frame in frames]
     with out.writing() as made:
-        if options.what:
+        if is_film:
             write_gif(made, images, [frame.seconds for frame in frames])
         else:
             images[0].save(made, format="PNG")
