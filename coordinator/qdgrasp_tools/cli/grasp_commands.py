@@ -91,16 +91,6 @@ def export(
             min=0, metavar="N", help="Failures written too, at most; default: all in graspgen, else 0."
         ),
     ] = None,
-    meshes: Annotated[
-        str | None,
-        typer.Option(metavar="copy|name", help="Of several runs: copy meshes; default: name them."),
-    ] = None,
-    split: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SHARES", help="Of several runs: share objects out, as in 80,10,10 (train, ...)."
-        ),
-    ] = None,
     force: options.Force = False,
 ) -> None:
     """Write the grasps of a run to a file that other tools read,
@@ -122,8 +112,6 @@ def export(
     choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in, **keys)
     folders = exporter.run_folders(directories)
     is_one = len(directories) == 1 and [folder.path for folder in folders] == directories
-    if is_one and (meshes is not None or split is not None):
-        raise InputError("--meshes and --split are for several runs or a campaign; leave them out.")
     if is_one:
         with progress_messages() as tell:
             written = exporter.export_run(
@@ -139,8 +127,6 @@ def export(
             choice,
             frame=frame,
             negatives=negatives,
-            meshes=meshes or exporter.NAME,
-            shares=() if split is None else exporter.parse_shares(split),
             force=force,
             tell=tell,
             is_stopped=lambda: stop.is_set,

@@ -1,6 +1,5 @@
 """Exports grasps: of a run to a file, of runs and campaigns to a data set with a card."""
 
-import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -9,16 +8,13 @@ from pathlib import Path
 from string import Template
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
-from qdgrasp_assets.geometry.mesh import parts_to_obj
 from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.tables import csv_text
-from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName, check_packages
+from qdgrasp_protocol.errors import FolderError, InputError, UnknownName, check_packages
 from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ENGINES, ObjectRecord
@@ -45,7 +41,6 @@ from qdgrasp_tools.export.grasp_table import (
     asset_name,
     common_values,
     frame_of,
-    object_mesh,
 )
 from qdgrasp_tools.export.yaml_files import to_yaml
 
@@ -164,33 +159,12 @@ def _no_grasps(folder: RunFolder, choice: GraspChoice, rows: int) -> str:
     )
 
 
-DATA, MESHES = "data", "meshes"
+DATA = "data"
 CARD, INDEX = "README.md", "index.csv"
-COPY, NAME = "copy", "name"
-SPLIT_NAMES = ("train", "validation", "test")
+TRAIN = "train"  # Split of objects without one
 TABLES = ("parquet", "webdataset")
 """Formats that hubs show as tables: their files are in a folder for each split."""
 COUNTS = ("evaluations", "successes", "grasps", "robust")
-
-
-def parse_shares(text: str) -> tuple[float, ...]:
-    """Read the shares of train, validation and test, such as "80,10,10"."""
-    with suppress(ValueError):
-        shares = tuple(float(word) for word in text.split(","))
-        if 1 <= len(shares) <= len(SPLIT_NAMES) and min(shares) >= 0 and 0 < sum(shares) < np.inf:
-            return shares
-    raise ImpossibleValue("split", text, "the shares of train, validation and test, such as 80,10,10")
-
-
-def split_of(name: str, shares: tuple[float, ...]) -> str:
-    """Return the split of an object, by a hash of its name; empty without shares.
-
-    It is the same in every data set. Shares (k,) are of any sum.
-    """
-    if not shares:
-        return ""
-    place = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") / 2**64 * sum(shares)
-    return SPLIT_NAMES[int((np.cumsum(shares) > place).argmax())]
 
 
 def is_dataset(path: Path) -> bool:
@@ -222,27 +196,22 @@ def export_dataset(
     *,
     frame: str = "mesh",
     negatives: int | None = None,
-    meshes: str = NAME,
-    shares: tuple[float, ...] = (),
     force: bool = False,
     tell: Tell = ignore_progress,
     is_stopped: Callable[[], bool] = lambda: False,
 ) -> str:
     """Write runs as one data set; returns a sentence, empty if it was stopped.
 
-    The choice is made of each run; nothing is left of an export that was stopped. `meshes` "copy" writes the
-    mesh of each object. `shares` split objects without a split of their own. Runs that cannot be read are
-    left out, and named in the card. Raises InputError where it cannot be written, or there is no grasp.
+    The choice is made of each run; nothing is left of an export that was stopped. Runs that cannot be read
+    are left out, and named in the card. Raises InputError where it cannot be written, or there is no grasp.
     """
     form = format_of(name)
-    if meshes not in (COPY, NAME):
-        raise UnknownName("meshes", meshes, (COPY, NAME))
     failures = form.failures(negatives)
     output = OutFolder(out, force=force, is_kind=is_dataset)
     output.check()
     with suppress(_StopExport), output.writing() as made:
         made.mkdir()
-        writer = DatasetWriter(made, form, choice, frame_of(frame), failures, meshes, shares)
+        writer = DatasetWriter(made, form, choice, frame_of(frame), failures)
         for run in sorted(writer.runs(folders)):
             tell(f"run {run.name}, {len(writer.entries)} of {len(folders)} written")
             if is_stopped():
@@ -266,8 +235,6 @@ class DatasetWriter:
     frame: Frame
     failures: int
     """Failures of each run, at most."""
-    meshes: str
-    shares: tuple[float, ...]
     entries: list[Entry] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     """Runs that cannot be read, with the reason."""
@@ -292,8 +259,7 @@ class DatasetWriter:
                 continue
             about = spec.about or ObjectRecord()
             object_ = about.id or asset_name(spec.object)
-            split = about.split or split_of(object_, self.shares)
-            yield DatasetRun(asset_name(spec.gripper), split, object_, unique, folder, about)
+            yield DatasetRun(asset_name(spec.gripper), about.split, object_, unique, folder, about)
 
     def write(self, run: DatasetRun) -> None:
         """Write the grasps of a run, or note why it cannot be read."""
@@ -318,7 +284,6 @@ class DatasetWriter:
             "source": about.source or body.source,
             "object_file": metadata.object_file,
             "object_sha256": metadata.object_sha256,
-            "mesh": self._mesh(run.object, chosen, metadata),
             **{name: common[name] for name in ("method", "seed", "protocol", "engine")},
             **{name: getattr(totals, name) for name in COUNTS},
             "min_fitness": chosen.min_fitness,
@@ -334,7 +299,7 @@ class DatasetWriter:
         """Write the grasps of a run, if there are any; returns the names of its files."""
         form, home = self.format, self.path / DATA / job_name(run.gripper)
         if form.name in TABLES:
-            home /= run.split or SPLIT_NAMES[0]
+            home /= run.split or TRAIN
         if not len(chosen.grasps):
             return []
         home.mkdir(parents=True, exist_ok=True)
@@ -347,17 +312,6 @@ class DatasetWriter:
             ends = {jaw_files.DATA: "json", jaw_files.OBJECTS: "obj"}
             made = [home / folder / f"{run.name}.{end}" for folder, end in ends.items()]
         return [file.relative_to(self.path).as_posix() for file in made]
-
-    def _mesh(self, name: str, chosen: ChosenGrasps, metadata: GraspMetadata) -> str:
-        """Copy the mesh of an object where that is asked for; returns its file."""
-        if self.meshes != COPY or not len(chosen.grasps):
-            return ""
-        file = f"{MESHES}/{job_name(name)}-{metadata.object_sha256[:12]}.obj"
-        if not (self.path / file).exists():
-            (self.path / MESHES).mkdir(exist_ok=True)
-            mesh = object_mesh(chosen.grasps.scene.object, self.frame)
-            (self.path / file).write_bytes(parts_to_obj([mesh]))
-        return file
 
     def write_lists(self) -> str:
         """Write the index and the card; returns how much was written, in words."""
@@ -386,18 +340,12 @@ class DatasetWriter:
             jaw_files.write_graspgen_index(self.path / DATA / hand, objects)
 
 
-SIZES = ("n<1K", "1K<n<10K", "10K<n<100K", "100K<n<1M", "1M<n<10M", "10M<n<100M", "100M<n<1B", "n>1T")
-"""Categories of the hub for the number of lines, each for ten times as many."""
 CARD_TEMPLATE = Template(f"""---
 $head---
 
 # Grasps of qdgrasp
 
 $words.
-
-| hand | split | objects | lines |
-|---|---|---|---|
-$hands
 
 ## Simulation
 
@@ -425,7 +373,7 @@ scored again by `qdgrasp import DIR --gripper HAND --object MESH -o poses.npz`.
 
 ## Licences
 
-Meshes $copies; each keeps its own licence.
+Meshes are only named, with their digests; each keeps its own licence.
 
 | licence of the object | objects |
 |---|---|
@@ -445,28 +393,18 @@ def card_text(data: DatasetWriter) -> tuple[str, str]:
     objects = counted(len({entry["object"] for entry in entries}), "object")
     beside = f" and {counted(failures, 'failure')}" if failures else ""
     words = f"{counted(rows - failures, 'grasp')}{beside} of {objects} in {counted(len(entries), 'run')}"
-    lines, known, licences = (
-        Counter[tuple[str, str]](),
-        dict[tuple[str, str], set[str]](),
-        dict[str, set[str]](),
-    )
+    licences: dict[str, set[str]] = {}
     for entry in entries:
-        hand, object_ = (entry["gripper"], entry["split"]), entry["object"]
-        lines[hand] += entry["rows"]
-        known.setdefault(hand, set()).add(object_)
-        licences.setdefault(" ".join(entry["licence"].split()) or "not stated", set()).add(object_)
-    hands = [f"| {hand} | {split or 'none'} | {len(known[hand, split])} | {count} |"
-             for (hand, split), count in sorted(lines.items())]  # fmt: skip
+        name = " ".join(entry["licence"].split()) or "not stated"
+        licences.setdefault(name, set()).add(entry["object"])
     left = [f"- `{run}`: {' '.join(reason.split())}" for run, reason in data.left_out.items()]
     text = CARD_TEMPLATE.substitute(
-        head=to_yaml(_head(data, rows)),
+        head=to_yaml(_head(data)),
         words=words,
-        hands="\n".join(hands),
         evaluations=counted(sum(entry["evaluations"] for entry in entries), "evaluation"),
         frame=data.frame,
         meaning=OBJECT_FRAMES[data.frame].format("the mesh"),
         format=data.format.name,
-        copies="are copied" if data.meshes == COPY else "are only named, with their digests",
         licences="\n".join(f"| {name} | {len(each)} |" for name, each in sorted(licences.items())),
         left_out="\n".join(["", "## Left out", "", "Runs that could not be read:", "", *left, ""])
         if left
@@ -475,13 +413,13 @@ def card_text(data: DatasetWriter) -> tuple[str, str]:
     return text, words
 
 
-def _head(data: DatasetWriter, rows: int) -> dict[str, Any]:
+def _head(data: DatasetWriter) -> dict[str, Any]:
     """Return the head of the card; of formats that the hub shows as tables, with their files."""
     tables: dict[str, dict[str, str]] = {}
     for entry in data.entries if data.format.name in TABLES else ():
         if entry["files"]:
             pattern = f"{entry['files'].rpartition('/')[0]}/*{data.format.suffix}"
-            tables.setdefault(entry["gripper"], {})[entry["split"] or SPLIT_NAMES[0]] = pattern
+            tables.setdefault(entry["gripper"], {})[entry["split"] or TRAIN] = pattern
     configs = [
         {"config_name": job_name(hand),
          "data_files": [{"split": split, "path": path} for split, path in sorted(paths.items())]}
@@ -495,6 +433,5 @@ def _head(data: DatasetWriter, rows: int) -> dict[str, Any]:
         "license_link": CARD,
         "task_categories": ["robotics"],
         "tags": ["robotics", "grasping", "qdgrasp", data.format.name],
-        "size_categories": [SIZES[min(max(len(str(rows)) - 3, 0), len(SIZES) - 1)]],
         "configs": [*configs, index],
     }

@@ -302,9 +302,9 @@ def write_evaluation(
 ) -> dict[str, comparison.ComparedValues]:
     """Replay a row and write its picture, or its film if the file is a GIF.
 
-    `size` is width and height [pixels]. Returns what the replay found in place of what is recorded, column by column; nothing where they agree,
-    and of a dead end, which was not simulated. Raises InputError if the file cannot be written, and
-    ReplayFailed if it could not be replayed.
+    `size` is width and height [pixels]. Returns what the replay found in place of what is recorded, column by
+    column; nothing where they agree, and of a dead end, which was not simulated. Raises InputError if the
+    file cannot be written, and ReplayFailed if it could not be replayed.
     """
     answer = replay_evaluation(shown, stop)
     if answer is None:

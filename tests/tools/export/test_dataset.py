@@ -4,7 +4,6 @@ import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pandas
 import pytest
 import yaml
@@ -14,12 +13,11 @@ from typer.testing import CliRunner, Result
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
-from qdgrasp_protocol.errors import FolderError, ImpossibleValue, OutputError
+from qdgrasp_protocol.errors import FolderError, OutputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_tools.cli.main import app
-from qdgrasp_tools.export import exporter
-from qdgrasp_tools.export.exporter import FORMATS, export_dataset, parse_shares, run_folders, split_of
+from qdgrasp_tools.export.exporter import FORMATS, export_dataset, run_folders
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame
 
@@ -88,7 +86,7 @@ def test_several_runs_and_campaigns_are_one_data_set_and_a_run_named_twice_count
 
 
 def test_the_index_says_what_is_known_of_each_run(runs, tmp_path: Path) -> None:
-    export_dataset(runs, tmp_path / "out", "parquet", shares=(100.0,))
+    export_dataset(runs, tmp_path / "out", "parquet")
     index = pandas.read_csv(tmp_path / "out" / "index.csv").set_index("run")
     for run in runs:
         line, found = index.loc[run.path.name], read_run(run)
@@ -97,7 +95,6 @@ def test_the_index_says_what_is_known_of_each_run(runs, tmp_path: Path) -> None:
         assert (line.successes, line.grasps, line["rows"]) == (len(found), 4, 4)
     ball = index.loc["jaw-ball-s0"]
     assert (ball.category, ball.licence, ball.source, ball.split) == ("toy", "CC0", "shop", "test")
-    assert set(index.split) == {"train", "test"}
 
 
 def test_runs_that_cannot_be_read_are_left_out_and_named(runs, tmp_path: Path) -> None:
@@ -127,21 +124,6 @@ def test_the_head_of_the_card_names_the_tables_of_the_hub(runs, tmp_path: Path) 
     assert set(tables) == {"jaw", "index"}
     for table in tables["jaw"]:
         assert list((tmp_path / "out").glob(table["path"]))
-
-
-def test_meshes_are_copied_once_for_each_object_if_asked_for(runs, tmp_path) -> None:
-    export_dataset(runs, tmp_path / "out", "parquet", meshes=exporter.COPY)
-    index = pandas.read_csv(tmp_path / "out" / "index.csv")
-    assert {mesh.partition("-")[0] for mesh in index.mesh} == {f"meshes/{name}" for name in OBJECTS}
-    assert len(list((tmp_path / "out" / "meshes").iterdir())) == 3
-
-
-def test_splits_by_hash_are_of_objects_and_near_the_shares() -> None:
-    splits = [split_of(f"object {number}", parse_shares("80,10,10")) for number in range(2000)]
-    shares = [splits.count(name) / len(splits) for name in exporter.SPLIT_NAMES]
-    np.testing.assert_allclose(shares, [0.8, 0.1, 0.1], atol=0.03)
-    with pytest.raises(ImpossibleValue):
-        parse_shares("80,-10")
 
 
 def test_graspgen_lists_each_run_in_the_split_of_its_object(runs, tmp_path) -> None:
