@@ -172,7 +172,7 @@ SERVICES: dict[str, str] = {
     r"qdgrasp-recorder": "",
     r"qdgrasp-worker": "",
     r"qdgrasp-monitor.*--web": r"http://",
-    r"qdgrasp-monitor(?!.*--once)": "",
+    r"qdgrasp-monitor": "",
     r"qdgrasp view": r"http://",
     r"qdgrasp (run|campaign) .*--workers 0": "listening on",
     r"python examples/own_evaluator\.py": "",

@@ -1,7 +1,6 @@
 """`qdgrasp-monitor` with real processes, and that everything counts the same at the end."""
 
 import fcntl
-import json
 import os
 import pty
 import select
@@ -12,11 +11,9 @@ import termios
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from datetime import UTC, datetime
 from queue import SimpleQueue
 
 import pytest
-from rich.console import Console
 from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.system.commands import (
     MONITOR,
@@ -35,14 +32,8 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.monitor.feed import Feed
 from qdgrasp_tools.monitor.job_model import JobView
-from qdgrasp_tools.monitor.terminal import ScreenState, report
 
 COUNTS = ("evaluations", "budget", "simulated", "proposals", "overlaps", "dead_ends", "successes", "cells")
-
-
-def watch(qdgrasp: Commands, *arguments: object) -> tuple[int, str, str]:
-    done = qdgrasp(*arguments, entry="monitor")
-    return done.code, done.out, done.err
 
 
 @contextmanager
@@ -65,9 +56,9 @@ def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands
         feed = stack.enter_context(Feed(stack.enter_context(ZenohBus.connect(endpoint, PATIENCE))))
         wait_for(lambda: [len(view.workers) for view in feed.views()] == [2], "both workers")
         with held(*pids(process, "worker")):  # so that it goes on for as long as it is looked at
-            code, out, err = watch(qdgrasp, "--once", "--json", "--connect", endpoint)
-            assert (code, err) == (0, "")
-            (job,) = parsed(out)["jobs"]
+            done = qdgrasp("jobs", "--json", "--connect", endpoint)
+            assert (done.code, done.err) == (0, "")
+            (job,) = done.json["jobs"]
             told = (job["job"], job["state"], len(job["workers"]), len(job["runs"]))
             assert told == ("mugs", "running", 2, 1)
             assert {*JobView.__struct_fields__} == {*job}
@@ -75,8 +66,6 @@ def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands
             assert {*JobStatus.__struct_fields__} == {*job["figures"]}
             assert any(event["kind"] == "worker" for event in job["events"])
             assert job["meta"]["identity"] == JobFolder.open(qdgrasp.home / "run").identity != ""
-            code, out, _ = watch(qdgrasp, "--once", "--connect", endpoint)
-            assert (code, "mugs: running" in out, max(map(len, out.splitlines())) <= 80) == (0, True, True)
         end_of(process)
         wait_for(lambda: [view.state for view in feed.views()] == ["ended"], "the end")
         (view,) = feed.views()
@@ -86,19 +75,6 @@ def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands
         assert getattr(run, name) == info[name], name
     assert sum(run.outcomes.values()) == info["rows"]
     assert run.durable == rows_recorded(qdgrasp.home / "run")
-    console = Console(width=80)
-    with console.capture() as printed:
-        console.print(report(ScreenState([view], endpoint, datetime.now(UTC))))
-    told = printed.get()
-    assert f"{info['evaluations']} of {info['budget']} evaluations" in told
-    assert f"{info['successes']} successes" in told
-    assert f"{info['cells']} cells" in told
-
-
-def parsed(out: str) -> dict:
-    """The one JSON object of an output of one line."""
-    (line,) = out.splitlines()
-    return json.loads(line)
 
 
 def _of_no_size(environment: Mapping[str, str]) -> dict[str, str]:

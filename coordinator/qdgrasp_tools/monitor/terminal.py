@@ -237,15 +237,6 @@ def _objects(shown: ScreenState, view: JobView, choice: ScreenSelection) -> Rend
     return screen.object_list(title, found, choice.top)
 
 
-def report(shown: ScreenState) -> Group:
-    """Return everything about all jobs, in as many lines as that takes."""
-    parts = [*shown.head, shown.advice] if shown.advice else shown.head
-    for view in shown.views:
-        parts.append(screen.titled(f"{view.job}: {screen.state_text(view)}", screen.job_summary(view)))
-        parts += [found for make in LISTS.values() if (found := make(view, 0)).rows]
-    return Group(*parts)
-
-
 KEYS = {
     b"\x1b[A": "up", b"\x1b[B": "down", b"\x1b[C": "right", b"\x1b[D": "left", b"\x1b[5~": "pageup",
     b"\x1b[6~": "pagedown", b"\x1b[Z": "backtab", b"\x1b": "escape", b"\t": "tab",
