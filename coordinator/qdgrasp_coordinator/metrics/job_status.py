@@ -37,9 +37,6 @@ class RunListing(RunTotals, frozen=True, kw_only=True):
         "Genomes by how their nominal evaluation ended: each `Outcome` by its name in lower case.",
     ]
     finished: Annotated[str, "Why the run is over, in words; empty while it is not."] = ""
-    folder: Annotated[
-        str, "Its folder on the recorder's machine, absolute; empty where a coordinator tells of it."
-    ] = ""
 
     @classmethod
     def of(cls, run: str, spec: RunSpec, scene: str, counter: RunCounter) -> "RunListing":
@@ -68,7 +65,6 @@ class RunListings(Struct, frozen=True, kw_only=True):
     uncounted: Annotated[
         int, "Runs left out because their rows are still being counted: ask again in a while."
     ] = 0
-    host: Annotated[str, "The recorder's machine."] = ""
     curve: Annotated[
         GrowthCurve | None,
         (

@@ -5,7 +5,6 @@ counted bit by bit from the journals.
 """
 
 import re
-import socket
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -37,7 +36,6 @@ from qdgrasp_protocol.bus import Bus, Query, answer_chunk
 from qdgrasp_protocol.errors import FolderError, InputError, Refused
 from qdgrasp_protocol.keys import NAME, Keys, last_chunk, parse_number
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_protocol.text import printable
 from qdgrasp_tools.campaign.campaign_file import read_campaign
 from qdgrasp_tools.campaign.object_library import read_skip_report
 from qdgrasp_tools.campaign.summaries import ObjectRun, list_objects
@@ -99,8 +97,7 @@ class RunIndex:
         path = JobFolder(self._path).run_path(run)
         with self._answering(), suppress(InputError):
             listing = self._counted(path)
-            found = _listings([listing and _with_folder(listing, path)])
-            return replace(found, curve=self._counts[path].curve(run))
+            return replace(_listings([listing]), curve=self._counts[path].curve(run))
         return _listings([])
 
     def page(self, first: int) -> RunListings:
@@ -110,8 +107,7 @@ class RunIndex:
         with self._answering():
             for path in paths[first:behind]:
                 with suppress(InputError):  # there may be no journal yet, or no good one
-                    found = self._listing(path)
-                    listings.append(found and _with_folder(found, path))
+                    listings.append(self._listing(path))
         return replace(_listings(listings), next=behind if behind < len(paths) else 0)
 
     def objects(self, first: int) -> ObjectListings:
@@ -193,10 +189,6 @@ class RunIndex:
         return self._campaign[1]
 
 
-def _with_folder(listing: RunListing, path: Path) -> RunListing:
-    return replace(listing, folder=printable(str(path.absolute())))
-
-
 def _run_paths(job: Path) -> list[Path]:
     return JobFolder(job).run_paths if JobFolder.is_job(job) else []
 
@@ -206,7 +198,6 @@ def _listings(listings: list[RunListing | None]) -> RunListings:
     return RunListings(
         runs=[listing for listing in listings if listing is not None],
         uncounted=listings.count(None),
-        host=socket.gethostname(),
     )
 
 

@@ -4,11 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from shlex import quote
-from socket import gethostname
 from typing import NamedTuple, TypeAlias
-
-import msgspec
 
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_coordinator.metrics.job_status import (
@@ -31,22 +27,12 @@ from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.text import printable
 from qdgrasp_tools.report.row_report import RowContextCache
 
-COMMANDS = ("qdgrasp show {folder} --grasp {number}", "qdgrasp render {folder} --grasp {number} -o grasp.png")
-"""Commands about one row of a run."""
-
 
 class JournalId(NamedTuple):
     """Identity of a journal: in another one of the same job and run, numbers are of other rows."""
 
     scene: str  # sha256 of the scene bundle
     began: float  # Time of its beginning [s since 1970]
-
-
-def row_commands(folder: str, host: str, number: int) -> list[str]:
-    """Return the commands that print a row and draw it, with the machine to run them on."""
-    on_host = f"  # on {printable(host)}" if host else ""
-    place = quote(printable(folder))
-    return [command.format(folder=place, number=number) + on_host for command in COMMANDS]
 
 
 @dataclass(frozen=True)
@@ -158,12 +144,8 @@ class BusRecords:
             runs += page.runs
             uncounted += page.uncounted
             if page.next <= first:
-                return RunListings(runs=runs, uncounted=uncounted, host=page.host)
+                return RunListings(runs=runs, uncounted=uncounted)
             first = page.next
-
-    def entry(self, job: str, run: str) -> RunListing | None:
-        """Return the recorder's listing of the run."""
-        return next(iter(self._entries(job, f"run={run}").runs), None)
 
     def objects(self, job: str) -> ObjectListings:
         """Read all pages of the recorder's table."""
@@ -179,20 +161,6 @@ class BusRecords:
     def curve(self, job: str, run: str) -> GrowthCurve:
         """Return the curve as far as the recorder has counted the run."""
         return self._entries(job, f"run={run}").curve or GrowthCurve(run=run, points=[])
-
-    def commands(self, job: str, run: str, number: int) -> list[str]:
-        """Return the commands for a row; their folder is DIR while the run is not counted."""
-        listings = self._entries(job, f"run={run}")
-        folders = {entry.run: entry.folder for entry in listings.runs}
-        host = "" if listings.host == gethostname() else listings.host
-        return row_commands(folders.get(run) or "DIR", host, number)
-
-    def settings(self, job: str, run: str) -> dict[str, str]:
-        """Return what the recorder lists of the run's spec; nothing before it has counted the run."""
-        entry = self.entry(job, run)
-        names = ("gripper", "object", "method", "protocol", "seed")
-        found = {name: str(getattr(entry, name)) for name in names} if entry else {}
-        return found | ({"evaluations": str(entry.budget)} if entry else {})
 
     def _entries(self, job: str, parameters: str) -> RunListings:
         return from_json(self._bus.ask(Keys(job).entries, parameters=parameters), RunListings)
@@ -216,19 +184,6 @@ class FolderRecords:
             origin = JournalId(journal.scene, journal.created if journal.count else 0.0)
             context = self._contexts.get(folder, journal)
             return RecordPage(origin, *success_pages.success_page(journal, first, context), journal.count)
-
-    def commands(self, job: str, run: str, number: int) -> list[str]:
-        """Return the commands for a row."""
-        return row_commands(str(self._index.run(job, run).path.absolute()), "", number)
-
-    def settings(self, job: str, run: str) -> dict[str, str]:
-        """Return the spec in the folder, but for tables and poses in it."""
-        values = msgspec.structs.asdict(self._index.run(job, run).spec)
-        return {
-            name.replace("_", " "): printable(str(value))
-            for name, value in values.items()
-            if isinstance(value, str | int | float)
-        }
 
 
 Records: TypeAlias = BusRecords | FolderRecords

@@ -1,9 +1,5 @@
 """Records: the same answers from folders and over the bus."""
 
-import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +7,7 @@ import numpy as np
 import pytest
 from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.recorded_runs import random_rows, record
-from tests.tools.report.test_row_report import OUTCOMES, run_of, run_of_synergies
+from tests.tools.report.test_row_report import run_of_synergies
 
 from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.metrics.run_stats import count_rows, success_mask
@@ -22,7 +18,6 @@ from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_tools.monitor import queries
 from qdgrasp_tools.monitor.queries import QueryServer
 from qdgrasp_tools.monitor.records import BusRecords, FolderIndex, FolderRecords, Records
-from qdgrasp_tools.monitor.web.run_cache import RunCaches
 
 
 @pytest.fixture
@@ -137,18 +132,6 @@ def test_how_a_run_grew_is_told_generation_by_generation(listed: BusRecords, fol
     assert (curve.run, end.cells, end.robust) == ("run", totals.cells, totals.robust)
 
 
-def test_the_command_that_is_shown_prints_the_grasp(tmp_path, make_scene, network) -> None:
-    path = run_of(tmp_path / "my mug", make_scene(), OUTCOMES).folder.path
-    with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", path):
-        shown = json.loads(RunCaches(BusRecords(ours)).run("mug", "run").grasp(3))
-    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    command = ["sh", "-c", shown["commands"][0]]
-    said = subprocess.run(command, capture_output=True, check=True, text=True, env=environment)
-    assert shown["commands"][0] == f"qdgrasp show '{path}' --grasp 3"
-    assert "number           3 of 5 rows" in said.stdout
-    assert "outcome          shaken: some of the disturbances were survived" in said.stdout
-
-
 def test_what_is_not_there_is_refused(records: Records) -> None:
     with pytest.raises(QdgraspError, match="rum"):
         records.page("mug", "rum", 0)
@@ -161,12 +144,5 @@ def test_objects_and_single_runs_over_the_bus_are_those_of_the_folder(tmp_path, 
     bus = BusRecords(network.session())
     with QueryServer(network.session(), "parts", job.path):
         over_bus = bus.objects("parts")
-        (run, *_) = over_bus.objects[0].names
-        entry = bus.entry("parts", run)
-        assert bus.entry("parts", "other") is None
     assert len(over_bus.objects) == 6
     assert over_bus.objects == expected
-    assert entry is not None
-    folder = RunFolder(job.run_path(run))
-    with folder.journal() as journal:
-        assert entry.totals == count_rows(folder.spec, journal.blocks()).totals

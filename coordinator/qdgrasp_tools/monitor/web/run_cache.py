@@ -20,10 +20,9 @@ from msgspec.structs import replace
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
-from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListing, RunListings
+from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListings
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
-from qdgrasp_protocol.spec import engine_names
 from qdgrasp_tools.monitor.records import BusRecords, JournalId, RecordPage, Records
 from qdgrasp_tools.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
 from qdgrasp_tools.rendering.views import hand_picture, object_picture
@@ -32,7 +31,6 @@ WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one
 BUSY_SECONDS = 3.0  # After a query without an answer the next one waits so long [s]
 MAX_RUNS = 16  # Runs that are kept, as are the following; the longest unused gives way
 MAX_JOBS = 16  # Jobs whose lists of runs are kept
-MAX_ENTRIES = 256  # Runs of single objects whose listings are kept
 MAX_CURVES = 64  # Runs whose curves are kept
 MAX_DIGESTS = 4096  # Runs of which it is kept what scene they have
 MAX_PICTURES = 512  # Pictures that are kept in memory, of some 5 kB
@@ -123,23 +121,6 @@ class LoadedScene:
     hand: HandGeometry
     shown: BrowserScene
 
-    @property
-    def settings(self) -> dict[str, str]:
-        """Engine, object and hand as they are simulated: words by their names."""
-        body, hand = self.scene.object, self.scene.gripper
-        sizes = (high - low for low, high in zip(self.shown.low, self.shown.high, strict=True))
-        return {
-            "engine": " and ".join(engine_names(self.scene.engine)),
-            "object's mass": f"{1000 * body.mass:.4g} g",
-            "object's size": " x ".join(f"{100 * size:.3g}" for size in sizes) + " cm",
-            "object's friction": f"{body.lateral_friction:g}",
-            "object's convex parts": body.collision_source,
-            "object's licence": body.licence,
-            "hand's root link": hand.base_link,
-            "hand's finger joints": str(len(hand.joints)),
-            "hand's licence": hand.licence,
-        }
-
 
 class RunCache:
     """One run in the view; any thread may call it. Its methods raise as those of `BusRecords`."""
@@ -167,21 +148,14 @@ class RunCache:
     def grasp(self, number: int) -> bytes:
         """Return JSON of the `grasp_view` of a journal row."""
         found, origin = self._success(number)
-        commands = self._records.commands(self._job, self._run, number)
         loaded = self._scenes(origin.scene).get()
         (margin,) = recorded_margins(found, loaded.scene.object)
-        return msgspec.json.encode(grasp_view(found[0], loaded.hand, loaded.shown, commands, margin))
+        return msgspec.json.encode(grasp_view(found[0], loaded.hand, loaded.shown, margin))
 
     def picture(self, number: int) -> bytes:
         """Return a picture of a journal row, the hand as it settled: PNG with a transparent ground."""
         origin = self._reading.get().origin
         return self._pictures(str(number), origin.scene, str(origin.began))
-
-    def settings(self) -> bytes:
-        """Return what the run was asked for and how it is simulated: JSON of names and words."""
-        found = self._records.settings(self._job, self._run)
-        found |= self._scenes(self._reading.get().origin.scene).get().settings
-        return msgspec.json.encode(found)
 
     def _success(self, number: int) -> tuple[SuccessTable, JournalId]:
         """Read the success in a journal row: (1,), and the journal."""
@@ -258,11 +232,7 @@ class JobCaches(RunCaches):
         ) -> Callable[..., TtlCache[T]]:
             return lru_cache(most)(lambda *key: TtlCache(lambda _: query(*key), fresh, clock))
 
-        def entry(job: str, run: str) -> tuple[RunListing, ...]:
-            return tuple(filter(None, (records.entry(job, run),)))
-
         self._listings = kept(MAX_JOBS, records.entries)
-        self._entries = kept(MAX_ENTRIES, entry)
         self._curves = kept(MAX_CURVES, records.curve)
         self._objects = kept(
             MAX_JOBS, records.objects, lambda found: 0 if found.uncounted else LISTED_SECONDS
@@ -290,7 +260,7 @@ class JobCaches(RunCaches):
     def object_runs(self, job: str, file: str) -> bytes:
         """Return the runs of one object that have begun, finished ones too: JSON of `RunListings`."""
         names = next((each.names for each in self.objects(job).objects if each.file == file), [])
-        runs = [entry for name in names for entry in self._entries(job, name).get()]
+        runs = [run for run in self._listings(job).get().runs if run.run in names]
         return msgspec.json.encode(RunListings(runs=runs))
 
     def object_picture(self, job: str, run: str) -> bytes:

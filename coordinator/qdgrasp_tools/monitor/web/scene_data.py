@@ -102,7 +102,7 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
 
 
 def grasp_view(
-    find: np.void, hand: HandGeometry, scene: BrowserScene, commands: Sequence[str], margin: float = np.nan
+    find: np.void, hand: HandGeometry, scene: BrowserScene, margin: float = np.nan
 ) -> dict[str, object]:
     """Return everything known of a success, a record of `storage.success_pages`.
 
@@ -142,7 +142,6 @@ def grasp_view(
         "turned": turned,
         "margin": _known(margin),  # None where it is not known
         "contacts": _contacts(find, hand),  # some of them where there were many
-        "commands": commands,  # that show and draw it
     }
 
 

@@ -243,7 +243,6 @@ def _run_routes(caches: RunCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
         _slow(f"{path}/cells", cells, limiter, "application/octet-stream"),
         _slow(f"{path}/grasps/{{number}}", lambda request: run(request).grasp(row(request)), limiter),
         _picture_route(f"{path}/grasps/{{number}}/picture", lambda asked: run(asked).picture(row(asked))),
-        _slow(f"{path}/settings", lambda request: run(request).settings(), limiter),
     ]
 
 

@@ -24,7 +24,6 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.job_status import (
     JobEvent,
     ObjectListings,
-    RunListing,
     RunListings,
     RunStatus,
     WorkerStatus,
@@ -37,7 +36,7 @@ from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
-from qdgrasp_tools.monitor.records import JournalId, RecordPage, row_commands
+from qdgrasp_tools.monitor.records import JournalId, RecordPage
 from qdgrasp_tools.monitor.web.run_cache import JobCaches
 from qdgrasp_tools.monitor.web.server import Access, application, live_routes, serve
 
@@ -231,20 +230,11 @@ class HandMadeRecords:
             raise NoReply("nobody answers")
         return RunListings(runs=[])
 
-    def entry(self, job: str, run: str) -> RunListing | None:
-        return None
-
     def objects(self, job: str) -> ObjectListings:
         return ObjectListings(objects=[])
 
     def curve(self, job: str, run: str) -> GrowthCurve:
         return GrowthCurve(run=run, points=[])
-
-    def commands(self, job: str, run: str, number: int) -> list[str]:
-        return row_commands("runs/mug", "", number)
-
-    def settings(self, job: str, run: str) -> dict[str, str]:
-        return {"method": "aimed", "seed": "7"}
 
 
 @pytest.fixture(scope="module")

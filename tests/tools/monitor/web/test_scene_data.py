@@ -57,7 +57,7 @@ def test_a_grasp_says_all_that_is_known_of_it(make_scene, drawn: HandGeometry) -
     stands = replace(browser_scene(scene, drawn), synergies=["pinch", "power"])
     find = finds([41], [(3, -2, 7)], [Outcome.SHAKEN], synergies=1, etas=0.5)[0]
     find["joints"] = [0.02, 0.01]
-    told: Any = grasp_view(find, drawn, stands, ["qdgrasp show runs/mug --grasp 41"])
+    told: Any = grasp_view(find, drawn, stands)
     assert (told["number"], told["outcome"], told["fitness"], told["cell"]) == (
         41,
         Outcome.SHAKEN,
@@ -67,7 +67,6 @@ def test_a_grasp_says_all_that_is_known_of_it(make_scene, drawn: HandGeometry) -
     assert np.allclose(told["commanded"]["position"], [0.03, -0.02, 0.07])
     assert told["commanded"]["quaternion"] == [0, 0, 0, 1]
     assert told["joints"] == pytest.approx({"left": 0.02, "right": 0.01})
-    assert told["commands"] == ["qdgrasp show runs/mug --grasp 41"]
     assert (told["base"], told["synergy"], told["eta"]) == ("palm", "power", 0.5)
     assert np.allclose(told["commanded"]["position_in_mesh"], [0.03, 0.08, 0.07])
     assert (told["settled"], told["moved"], told["turned"]) == (None, None, None)
@@ -87,7 +86,7 @@ def test_a_grasp_says_how_closing_went(make_scene) -> None:
     links = ("palm", "left_finger", "right_finger")
     scene = replace(make_scene(), gripper=replace(make_scene().gripper, links=links))
     hand = hand_geometry(scene.gripper)
-    told: Any = grasp_view(settled_find(), hand, browser_scene(scene, hand), [], 0.25)
+    told: Any = grasp_view(settled_find(), hand, browser_scene(scene, hand), 0.25)
     assert told["settled"] is not None
     assert np.allclose(told["settled"]["position"], [0, 0, 0.04])
     assert (told["moved"], told["turned"]) == pytest.approx((0.03, np.pi / 3))
@@ -102,7 +101,7 @@ def test_midway_the_hand_has_gone_and_turned_half_the_way_with_its_joints_half_c
     find = settled_find()
     find["contact_links"] = 0
     middle = {
-        name: poses[len(poses) // 2] for name, poses in grasp_view(find, drawn, stands, [])["frames"].items()
+        name: poses[len(poses) // 2] for name, poses in grasp_view(find, drawn, stands)["frames"].items()
     }
     pose = np.array([0, 0, 0.055, 0, 0, np.sin(np.pi / 12), np.cos(np.pi / 12)])
     for name, frame in drawn.link_frames(pose, np.array([0.03, 0.025])).items():

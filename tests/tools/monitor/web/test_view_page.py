@@ -57,14 +57,6 @@ def test_the_first_run_is_shown_and_another_may_be_chosen(look: Look, place: str
     expect(page.locator("#name")).to_have_text("mug")
 
 
-def test_the_settings_of_a_run_are_its_spec_and_how_it_is_simulated(look: Look, place: str) -> None:
-    page = look(place)
-    page.locator("#scene-settings summary").click()
-    shown = page.locator("#scene-settings div")
-    for words in ("gripperjaw", "object's mass100 g", "object's size4 x 5 x 6 cm", "hand's root linkpalm"):
-        expect(shown.filter(has_text=words)).to_have_count(1)
-
-
 def test_on_a_phone_nothing_is_wider_than_the_window(look: Look, place: str) -> None:
     page = look(place, phone=True)
     page.locator("#scene").press("n")

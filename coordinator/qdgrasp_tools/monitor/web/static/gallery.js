@@ -2,7 +2,6 @@
 
 import { element, setAttribute, setText, updateChildren } from "./dom.js";
 import { several } from "./format.js";
-import { fetchJson } from "./run_queries.js";
 
 const MOST = 12; // pictures
 const PAUSE = 1000; // ms between two looks at which grasps are the best
@@ -64,37 +63,5 @@ export class Gallery {
     const button = element("button", { type: "button", "aria-label": `Grasp ${number}: ${words}, penetration ${depth}`, title: `${words}, penetration ${depth}` }, picture, element("span", {}, swatch, String(number)));
     button.addEventListener("click", () => this.#view.select(number));
     return element("li", {}, button);
-  }
-}
-
-/** What a run was asked for, and how it is simulated; read when it is opened. */
-export class SettingsPanel {
-  #address = "";
-  #read = "";
-
-  /** @param node a details element with its summary */
-  constructor(node) {
-    this.node = node;
-    this.list = element("dl");
-    node.append(this.list);
-    node.addEventListener("toggle", () => this.#load());
-  }
-
-  /** Show the settings of the run at an address of the server; empty: there is none. */
-  open(address) {
-    this.#address = address;
-    this.node.hidden = !address;
-    this.#load();
-  }
-
-  async #load() {
-    const address = this.#address;
-    if (!this.node.open || !address || this.#read === address) return;
-    this.list.replaceChildren(element("div", {}, element("dt", {}, "They are being read.")));
-    const found = await fetchJson(`${address}/settings`);
-    if (address !== this.#address) return;
-    this.#read = found ? address : "";
-    const lines = Object.entries(found ?? { "Nobody answers": "open it again" });
-    this.list.replaceChildren(...lines.map(([name, words]) => element("div", {}, element("dt", {}, name), element("dd", {}, words))));
   }
 }

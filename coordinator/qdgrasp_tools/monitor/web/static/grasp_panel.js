@@ -2,7 +2,7 @@
 
 import { element, setAttribute, setText } from "./dom.js";
 import { several } from "./format.js";
-import { Gallery, SettingsPanel } from "./gallery.js";
+import { Gallery } from "./gallery.js";
 import { addressFilters, OVER, shortName } from "./job_state.js";
 import { FilterControls, Legend } from "./scene/controls.js";
 
@@ -29,7 +29,6 @@ export class GraspPanel {
       onpin: (grasp) => this.#pin(grasp),
     });
     this.gallery = new Gallery(find("scene-best"));
-    this.settings = new SettingsPanel(find("scene-settings"));
     this.beside.querySelector("button").addEventListener("click", () => this.#unpin());
     this.legend = new Legend(find("scene-key"));
     this.filters = new FilterControls(find("scene-filters"));
@@ -62,7 +61,6 @@ export class GraspPanel {
     this.#writeStatus("");
     this.card.show(null);
     this.#connect(null);
-    this.settings.open(run ? `${this.api}/jobs/${encodeURIComponent(job)}/runs/${encodeURIComponent(run)}` : "");
     if (!run) return this.#notify(this.#idle);
     try {
       const { SceneView } = await import("./scene/scene_view.js"); // three is large: the rest of the page does not wait for it
@@ -151,7 +149,7 @@ function besideWords({ words, fitness, eta, penetration, finger_links: links, mo
   return parts.filter(Boolean).join(" · ");
 }
 
-/** The selected grasp: its numbers, a slider that closes the hand, its poses, and the commands that show and draw it. */
+/** The selected grasp: its numbers, a slider that closes the hand, and its poses. */
 class GraspCard {
   /** `onclose()`: the card is to be closed; `onclosing(closed)`: the hand is to be so far closed, from 0 to 1; `onpin(grasp)`:
    *  the grasp is to be kept beside. */
@@ -163,8 +161,7 @@ class GraspCard {
   show(grasp, closed, scene) {
     this.node.hidden = !grasp;
     if (!grasp) return;
-    const parts = [this.#header(grasp), this.#actions(grasp, scene), this.#slider(closed), figures(grasp), afterClosing(grasp), ...poses(grasp), joints(grasp), contacts(grasp)];
-    this.node.replaceChildren(...parts, ...grasp.commands.map(command));
+    this.node.replaceChildren(this.#header(grasp), this.#actions(grasp, scene), this.#slider(closed), figures(grasp), afterClosing(grasp), ...poses(grasp), joints(grasp), contacts(grasp));
   }
 
   #slider(closed) {
@@ -195,7 +192,7 @@ class GraspCard {
 }
 
 /** Have the browser save a grasp as JSON: lengths in m, angles in rad, quaternions xyzw. */
-function download({ frames, commands, ...grasp }, { gripper, object, com_in_mesh: com }) {
+function download({ frames, ...grasp }, { gripper, object, com_in_mesh: com }) {
   const frame = "the object's: position from its centre of mass, position_in_mesh in its mesh file's frame; contacts from the centre of mass";
   const text = JSON.stringify({ gripper, object, com_in_mesh: com, units: "m, rad, N", frame, ...grasp }, null, 1);
   const address = URL.createObjectURL(new Blob([text], { type: "application/json" }));
@@ -253,22 +250,4 @@ function list(lines) {
 
 function millimetres(values) {
   return values.map((value) => (1000 * value).toFixed(1)).join(", ");
-}
-
-function command(words) {
-  const copy = element("button", { type: "button", class: "quiet", "aria-label": `Copy ${words}` }, "Copy");
-  copy.addEventListener("click", async () => {
-    try {
-      await navigator.clipboard.writeText(words);
-      copy.textContent = "Copied";
-    } catch {
-      copy.textContent = "Select it"; // a page that is not served over TLS may not copy
-    }
-  });
-  return element("div", { class: "replay" }, element("code", { tabindex: "0" }, ...words.split(/(?<= )/).map(unbroken)), copy);
-}
-
-/** A word of a command; a flag is not broken at its hyphens. */
-function unbroken(word) {
-  return word.startsWith("-") ? element("span", { class: "flag" }, word) : word;
 }
