@@ -37,7 +37,6 @@ def without_extras(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     Path("grasps.h5").write_bytes(b"\x89HDF\r\n\x1a\nmore")
     Path("grasps.parquet").write_bytes(b"PAR1 more")
     Path("objects.parquet").write_bytes(b"PAR1 more")
-    Path("dataset").mkdir()
     Path("library.toml").write_text(CAMPAIGN.replace('["tennis_ball"]', '["objects.parquet"]'))
     return tmp_path
 
@@ -54,7 +53,6 @@ IMPORT = ("import", *SCENE, "-o", "made.npz")
         ((*EXPORT, "parquet"), "The format parquet", "pyarrow", "export"),
         ((*IMPORT, "grasps.h5"), "grasps.h5", "h5py", "export"),
         ((*IMPORT, "grasps.parquet"), "grasps.parquet", "pyarrow", "export"),
-        ((*IMPORT, "dataset", "--of", "tennis_ball"), "The data set dataset", "pyarrow", "export"),
         (("view", "finished", "--no-open"), "The page", "prometheus_client", "monitor"),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else "",

@@ -142,7 +142,7 @@ def import_(
         Path,
         typer.Argument(
             metavar="FILE",
-            help="ACRONYM, GraspGen JSON, Isaac Grasp YAML, or Parquet of ours, also a data set's folder.",
+            help="ACRONYM, GraspGen JSON, Isaac Grasp YAML, or Parquet of ours.",
         ),
     ],
     gripper: Annotated[str, typer.Option(help="Gripper: a built-in name or a TOML file.")],
@@ -158,10 +158,6 @@ def import_(
         str | None,
         typer.Option(help="Where poses are told, mesh or com; default: as the file says, else mesh."),
     ] = None,
-    of: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="The object in a data set; default: as --object is called."),
-    ] = None,
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Take poses of a file that is of another hand or object.")
     ] = False,
@@ -175,9 +171,8 @@ def import_(
 
     Example: qdgrasp import grasps.yaml --gripper panda --object mug -o poses.npz
     """  # noqa: D205  # typer joins the lines
-    from qdgrasp_tools.export.exporter import is_dataset  # takes its time to load
-    from qdgrasp_tools.export.grasp_table import asset_name, frame_of
-    from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame
+    from qdgrasp_tools.export.grasp_table import frame_of
+    from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame  # takes its time to load
 
     output = OutFile(out, force=force, inputs=(file, Path(gripper), Path(object_)))
     output.check()
@@ -185,8 +180,7 @@ def import_(
     told_in = None if frame is None else frame_of(frame)
     with progress_messages() as tell:
         tell(f"reading {file}")
-        name = of or (asset_name(object_) if is_dataset(file) else "")
-        found = import_poses(file, hand_named(gripper), object_frame(object_, metres), told_in, name)
+        found = import_poses(file, hand_named(gripper), object_frame(object_, metres), told_in)
     if found.mismatches and not anyway:
         said = " ".join(found.mismatches)
         raise InputError(f"{said} Name the hand and object of '{file}', or add --anyway.")

@@ -368,8 +368,8 @@ spec that repeats its run.
 ## Files
 
 `{INDEX}` has a line for each run: object, hand, counts, digests, files. The files in `{DATA}/HAND` are of the
-format `$format`; docs/formats.md of qdgrasp explains it. Poses of an object in a data set of Parquet are
-scored again by `qdgrasp import DIR --gripper HAND --object MESH -o poses.npz`.
+format `$format`; docs/formats.md of qdgrasp explains it. Poses in a file of Parquet are scored again by
+`qdgrasp import FILE --gripper HAND --object MESH -o poses.npz`.
 
 ## Licences
 

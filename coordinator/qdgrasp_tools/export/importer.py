@@ -18,13 +18,11 @@ from qdgrasp_assets.geometry.rotation import Floats, conjugate
 from qdgrasp_assets.object_model import read_solid
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.storage.outputs import OutFile
-from qdgrasp_coordinator.storage.tables import read_csv
 from qdgrasp_protocol.errors import InputError, check_packages
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import first_few
 from qdgrasp_tools.export import jaw_files, tabular, yaml_files
-from qdgrasp_tools.export.exporter import INDEX, is_dataset
 from qdgrasp_tools.export.grasp_table import (
     COM,
     MESH,
@@ -87,8 +85,7 @@ class ImportFormat(NamedTuple):
 def read_grasp_file(path: Path) -> GraspTable:
     """Read and check the grasps in a file of any known format; raises UnreadableGrasps."""
     if path.is_dir():
-        one = "name one of its objects with --of" if is_dataset(path) else "name a file in it"
-        raise UnreadableGrasps(path, f"it is a folder; {one}")
+        raise UnreadableGrasps(path, "it is a folder; name a file in it")
     try:
         with path.open("rb") as file:
             head = file.read(64)
@@ -100,38 +97,14 @@ def read_grasp_file(path: Path) -> GraspTable:
     if reader is None:
         raise UnreadableGrasps(path, f"it is of none of the formats that are read: {KNOWN_FORMATS}")
     check_packages(str(path), *reader.packages)
-    return _checked(path, lambda: reader.read(path))
-
-
-def _checked(path: Path, read: Callable[[], GraspTable]) -> GraspTable:
-    """Read and check grasps; whatever a damaged file makes of its reader is one sentence."""
     try:
-        table = read()
+        table = reader.read(path)
         check_table(path, table)
     except InputError:
         raise
     except Exception as error:  # noqa: BLE001  # of h5py, pyarrow, yaml, msgspec and numpy
         raise UnreadableGrasps(path, f"it is damaged, or not of its format ({error})") from None
     return table
-
-
-def read_dataset(folder: Path, gripper: str, object_: str) -> GraspTable:
-    """Read and check the grasps of a hand on an object in a data set of Parquet.
-
-    `gripper` and `object_` are as its index has them. Raises UnreadableGrasps.
-    """
-    check_packages(f"The data set {folder}", "pyarrow")
-    return _checked(folder, lambda: _dataset_grasps(folder, gripper, object_))
-
-
-def _dataset_grasps(folder: Path, gripper: str, object_: str) -> GraspTable:
-    lines = read_csv(folder / INDEX, ("gripper", "object", "files"))
-    ours = [line for line in lines if (line["gripper"], line["object"]) == (gripper, object_)]
-    files = [folder / name for line in ours for name in line["files"].split() if name.endswith(".parquet")]
-    if not files:
-        reason = f"it has no Parquet with a grasp of gripper '{gripper}' on object '{object_}'"
-        raise UnreadableGrasps(folder, reason)
-    return tabular.read_parquet(*files)
 
 
 READERS = (
@@ -170,17 +143,15 @@ class ImportedPoses:
 
 
 def import_poses(
-    path: Path, hand: SceneGripper, body: ObjectFrame, frame: Frame | None = None, of: str = ""
+    path: Path, hand: SceneGripper, body: ObjectFrame, frame: Frame | None = None
 ) -> ImportedPoses:
     """Read the grasps in a file as poses of a hand on an object.
 
-    Of a data set those of its object `of`. `frame` is that of the object in which the file gives poses; None:
-    as it says, or that of the mesh. Raises UnreadableGrasps if the file cannot be read, says that poses are
-    in another frame, or names synergies that the hand does not have.
+    `frame` is that of the object in which the file gives poses; None: as it says, or that of the mesh. Raises
+    UnreadableGrasps if the file cannot be read, says that poses are in another frame, or names synergies that
+    the hand does not have.
     """
-    if of and path.is_file():
-        raise UnreadableGrasps(path, "--of names an object of a data set's folder, and this is a file")
-    imported = read_dataset(path, hand.name, of) if of and path.is_dir() else read_grasp_file(path)
+    imported = read_grasp_file(path)
     metadata = imported.metadata
     if metadata and frame not in (None, metadata.frame):
         reason = f"it says that its poses are in the object's {metadata.frame} frame; leave --frame out"

@@ -149,33 +149,23 @@ def write_tar(path: Path, table: RunTable) -> None:
                 tar.addfile(member, io.BytesIO(payload))
 
 
-def read_parquet(*paths: Path) -> GraspTable:
-    """Read the grasps in Parquet files of one hand and object; of several, named RUN/NUMBER."""
-    import pyarrow as pa
+def read_parquet(path: Path) -> GraspTable:
+    """Read the grasps in a Parquet file of ours."""
     import pyarrow.parquet as pq
 
-    tables = [pq.read_table(path, use_threads=False) for path in paths]
-    told = []
-    for path, each in zip(paths, tables, strict=True):
-        if METADATA_KEY.encode() not in (each.schema.metadata or {}):
-            raise UnreadableGrasps(path, "it is a Parquet file, but not one that `qdgrasp export` wrote")
-        told.append(msgspec.json.decode(each.schema.metadata[METADATA_KEY.encode()], type=GraspMetadata))
-    if len({each.object_sha256 for each in told}) > 1:
-        raise UnreadableGrasps(paths[0], f"different objects are called '{told[0].object}' beside it")
-    about = msgspec.structs.replace(told[0], runs=tuple(run for each in told for run in each.runs))
-    table = pa.concat_tables(tables, promote_options="default")
-    names = np.asarray(table["number"]).astype(str).tolist()
-    if len(paths) > 1:
-        names = [f"{run}/{name}" for run, name in zip(table["run"].to_pylist(), names, strict=True)]
+    table = pq.read_table(path, use_threads=False)
+    told = (table.schema.metadata or {}).get(METADATA_KEY.encode())
+    if told is None:
+        raise UnreadableGrasps(path, "it is a Parquet file, but not one that `qdgrasp export` wrote")
     joints = [name for name in table.column_names if name.startswith(PREGRASP)]
     starts = [np.asarray(table[name], dtype=np.float64) for name in joints]
     simulated = table[POSE_COLUMN].combine_chunks().flatten()
     found = GraspTable(
-        names=np.array(names, dtype=str),
+        names=np.asarray(table["number"]).astype(str),
         poses=np.asarray(simulated, dtype=np.float64).reshape(-1, 7),
         joint_names=tuple(name.removeprefix(PREGRASP) for name in joints),
         pregrasp=np.stack(starts, axis=1) if starts else None,
         synergies=np.array([name or "" for name in table["synergy"].to_pylist()], dtype=str),
         confidence=np.asarray(table["confidence"], dtype=np.float64),
-    )
-    return replace(found.with_metadata(about), frame=COM)  # poses are those in `base_to_object`
+    ).with_metadata(msgspec.json.decode(told, type=GraspMetadata))
+    return replace(found, frame=COM)  # poses are those in `base_to_object`

@@ -19,7 +19,6 @@ from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.export.exporter import FORMATS, export_dataset, run_folders
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
-from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame
 
 OBJECTS = ("cup", "block", "ball")
 BALL = ObjectRecord(category="toy", licence="CC0", source="shop", split="test")
@@ -132,11 +131,3 @@ def test_graspgen_lists_each_run_in_the_split_of_its_object(runs, tmp_path) -> N
     test, train = ((home / f"{name}.txt").read_text().split() for name in ("test", "train"))
     assert (len(test), len(train)) == (2, 4)
     assert not set(test) & set(train)
-
-
-def test_grasps_of_an_object_come_back_as_poses(evaluated_run: RunFolder, tmp_path: Path) -> None:
-    export_dataset([evaluated_run], tmp_path / "out", "parquet", GraspChoice(min_fitness=0))
-    spec, successes = evaluated_run.spec, read_run(evaluated_run)
-    hand, body = hand_named(spec.gripper), object_frame(spec.object)
-    found = import_poses(tmp_path / "out", hand, body, of="rubiks_cube")
-    assert found.arrays["base_position"].tobytes() == successes.rows["base_to_object"][:, :3].tobytes()
