@@ -28,7 +28,7 @@ from qdgrasp_protocol.text import printable
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.options import host_and_port
-from qdgrasp_tools.monitor.feed import Feed, RecordFeed, reachable_jobs, summary_lines
+from qdgrasp_tools.monitor.feed import Feed, reachable_jobs, summary_lines
 from qdgrasp_tools.monitor.job_model import JobView
 from qdgrasp_tools.monitor.records import BusRecords
 from qdgrasp_tools.monitor.terminal import watch_jobs
@@ -239,7 +239,7 @@ def monitor(
     """Watch running jobs: how far they are, what they find, who works, and why evaluations fail.
 
     Nothing is changed or slowed by it; `qdgrasp jobs` prints the state once. On a terminal q leaves, tab or a
-    number takes another job; o, r, w and e show all objects, runs, workers and events.
+    number takes another job; r, w and e show all runs, workers and events.
 
     Example: qdgrasp-monitor --connect tcp/head:7447
 
@@ -261,7 +261,7 @@ def monitor(
         if web is not None:
             serve_page(bus, feed, web, token or "", stop)
         else:
-            watch_jobs(feed, RecordFeed(BusRecords(bus)), endpoint, terminal_console(), stop)
+            watch_jobs(feed, endpoint, terminal_console(), stop)
     raise typer.Exit(stop.exit_code)
 
 

@@ -8,30 +8,25 @@ no other process waits for it. Another thread sends the queries: a missing answe
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from queue import SimpleQueue
-from typing import Any, Self, TypeVar
+from typing import Self
 
 import structlog
 
-from qdgrasp_coordinator.metrics.job_status import ObjectListing
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_protocol.bus import Bus, RingBuffer
-from qdgrasp_protocol.errors import BusError, InputError, MessageError
+from qdgrasp_protocol.errors import BusError
 from qdgrasp_protocol.keys import AnyJob, Keys
 from qdgrasp_protocol.text import first_few
-from qdgrasp_tools.campaign.summaries import with_events
 from qdgrasp_tools.monitor.job_model import JobModels, JobView
-from qdgrasp_tools.monitor.records import BusRecords
 
 log = structlog.get_logger()
 
 INTERVAL = 0.1  # seconds between two readings of the rings
 ANSWER_SECONDS = 1.0  # seconds that coordinators may take to answer
 OVERVIEW_SECONDS = 2.0  # seconds that they may take where commands print and end
-RECORDED_SECONDS = 5.0  # seconds between two readings of the same records
 SHOWN = 6  # The most hosts that are named of each job
 SUBSCRIBED_KEYS: dict[str, int] = {
     "meta": 64,
@@ -43,7 +38,6 @@ SUBSCRIBED_KEYS: dict[str, int] = {
 """Subscribed keys below a job's, with the capacity of their rings; `meta` comes first."""
 
 Change = Callable[[JobModels, float], None]
-T = TypeVar("T")
 
 
 class Feed:
@@ -134,38 +128,6 @@ class Feed:
     def _notify(self) -> None:
         self._version += 1
         self._changed.notify_all()
-
-
-class RecordFeed:
-    """Objects and curves from a recorder, read in a thread while they are asked for."""
-
-    def __init__(self, records: BusRecords) -> None:
-        self._records = records
-        self._known: dict[tuple[str, ...], Any] = {}
-        self._due: dict[tuple[str, ...], float] = {}
-        self._thread: threading.Thread | None = None
-
-    def objects(self, view: JobView) -> Sequence[ObjectListing] | None:
-        """Return a job's objects as they were read last, with its events; None: not read yet."""
-        known = self._latest(self._records.objects, view.job)
-        return None if known is None else with_events(known.objects, view.events, view.figures.building)
-
-    def curve(self, view: JobView) -> GrowthCurve | None:
-        """Return the curve of a job of a single run as it was read last; else None."""
-        is_single = view.figures.runs == 1 and view.runs
-        return self._latest(self._records.curve, view.job, view.runs[-1].run) if is_single else None
-
-    def _latest(self, read: Callable[..., T], *key: str) -> T | None:
-        now = time.monotonic()
-        if now >= self._due.get(key, 0.0) and not (self._thread and self._thread.is_alive()):
-            self._due[key] = now + RECORDED_SECONDS
-            self._thread = threading.Thread(target=self._read, args=[read, key], name="records", daemon=True)
-            self._thread.start()
-        return self._known.get(key)
-
-    def _read(self, read: Callable[..., object], key: tuple[str, ...]) -> None:
-        with suppress(InputError, BusError, MessageError):  # what was read before stays
-            self._known[key] = read(*key)
 
 
 def query_jobs(bus: Bus) -> JobModels:

@@ -1,4 +1,4 @@
-"""Parts of the screen of `qdgrasp-monitor`: counts, curves and lists, as rich draws them.
+"""Parts of the screen of `qdgrasp-monitor`: counts and lists, as rich draws them.
 
 A list takes the room that it is given, and counts what it leaves out. Columns without room are left out, the
 least important first, and no line is broken.
@@ -20,8 +20,7 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from qdgrasp_coordinator.metrics.job_status import JobStatus, ObjectListing
-from qdgrasp_coordinator.metrics.run_stats import CurvePoint, GrowthCurve
+from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.text import counted, printable
 from qdgrasp_tools.monitor.job_model import OVER, JobView
 
@@ -199,23 +198,6 @@ def run_list(view: JobView, top: int = 0) -> Listing:
     return Listing(title, columns, runs, lambda run: "bold yellow" if run.trouble else "", top)
 
 
-def object_list(title: str, objects: Sequence[ObjectListing], top: int = 0) -> Listing:
-    """Return objects in their order."""
-    columns = (
-        Column("object", lambda one: one.object, least=18),
-        Column("state", lambda one: one.state, least=8),
-        Column("runs", lambda one: f"{one.runs_done}/{one.runs}" if one.runs else "-"),
-        Column("evaluations", lambda one: count_text(one.evaluations), 4),
-        Column("success", lambda one: percent_text(one.successes, one.evaluations), 3),
-        Column("cells", lambda one: count_text(one.cells)),
-        Column("grasps", lambda one: count_text(one.grasps)),
-        Column("errors", lambda one: count_text(one.errors), 5),
-        Column("note", lambda one: one.note, 2, least=12),
-    )
-    is_bad = {True: "yellow", False: ""}
-    return Listing(title, columns, objects, lambda one: is_bad[one.state == "failed" or bool(one.note)], top)
-
-
 def worker_list(view: JobView, top: int = 0) -> Listing:
     """Return a job's workers, those that are in trouble first."""
     workers = view.workers
@@ -336,83 +318,6 @@ class OutcomeBar(NamedTuple):
             legend.append(fill, colour).append(f"{name} {share}  ")
         yield bar
         yield legend
-
-
-BLOCKS = " ▁▂▃▄▅▆▇█"
-AXIS = 7  # characters of the numbers beside a curve
-CURVE_ROWS = 8  # lines of a curve where there is room for any number
-
-
-@dataclass(frozen=True)
-class Curve:
-    """A curve with its title; `first` and `last` are written below its ends."""
-
-    title: str
-    places: Sequence[float]  # In order
-    values: Sequence[float]
-    first: str
-    last: str
-    colour: str
-
-    def lines(self, width: int, height: int) -> Group:
-        """Return it in so many lines: title, curve with its greatest value, and ends."""
-        most, rows = max(self.values, default=0.0), max(1, height - 2)
-        newest = rate_text(self.values[-1]) if len(self.values) else "-"
-        lines = [text_line(f"{' ' * AXIS}{self.title} {newest}", "bold")]
-        for number, line in enumerate(plot(self.places, self.values, width - AXIS, rows)):
-            scale = rate_text(most) if number == 0 else "0" if number == rows - 1 else ""
-            lines.append(Text(f"{scale:>{AXIS - 1}} ", "dim", no_wrap=True).append(line, self.colour))
-        foot = f"{' ' * AXIS}{self.first:<{max(0, width - AXIS - len(self.last))}}{self.last}"
-        return Group(*lines, text_line(foot, "dim"))
-
-
-def plot(places: Sequence[float], values: Sequence[float], width: int, height: int) -> list[str]:
-    """Return a curve filled down to 0, in eighths of characters, its greatest value at the top."""
-    if not len(places):
-        return [""] * height
-    found = np.interp(np.linspace(places[0], places[-1], width), places, values)
-    levels = np.ceil(found / (max(values) or 1) * 8 * height).astype(int).tolist()
-    lines = ("".join(BLOCKS[min(8, max(0, level - 8 * row))] for level in levels) for row in range(height))
-    return [*lines][::-1]
-
-
-class CurveCharts(NamedTuple):
-    """The curves of a job side by side; `curve` is that of a single run, if known."""
-
-    view: JobView
-    curve: GrowthCurve | None = None
-
-    def __rich_console__(self, _console: Console, options: ConsoleOptions) -> RenderResult:
-        curves = job_curves(self.view, self.curve)
-        grid = Table.grid(padding=(0, GAP, 0, 0))
-        width = (options.max_width - GAP * (len(curves) - 1)) // len(curves)
-        for _ in curves:
-            grid.add_column(width=width)
-        grid.add_row(*(one.lines(width, options.height or CURVE_ROWS) for one in curves))
-        yield grid
-
-
-def job_curves(view: JobView, curve: GrowthCurve | None) -> list[Curve]:
-    """Return the curves of a job: of a single run over evaluations, of several over time.
-
-    Runs that are resumed one by one have fewer evaluations meanwhile, so several are drawn over time.
-    """
-    history, now = view.history, view.figures
-    ago = f"{span_text(history.at[-1] - history.at[0])} ago" if history.at else ""
-    if curve:
-        points = [point for point in curve.points if point.evaluations < now.evaluations]
-        latest = CurvePoint(now.evaluations, now.proposals, now.successes, now.cells, now.robust)
-        begun = [CurvePoint(0, 0, 0, 0, 0), *points, latest]
-        places: Sequence[float] = [point.evaluations for point in begun]
-        cells, successes = [point.cells for point in begun], [point.successes for point in begun]
-        ends = ("0", f"{count_text(places[-1])} evaluations")
-    else:
-        places, cells, successes, ends = history.at, history.cells, history.successes, (ago, "now")
-    return [
-        Curve("cells", places, cells, *ends, "green"),
-        Curve("successes", places, successes, *ends, "cyan"),
-        Curve("evaluations/s", history.at, history.rate, ago, "now", "yellow"),
-    ]
 
 
 def titled(title: str, part: RenderableType) -> Group:

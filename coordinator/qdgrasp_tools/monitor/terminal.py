@@ -22,18 +22,16 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from qdgrasp_coordinator.metrics.job_status import ObjectListing, utc_now
-from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
+from qdgrasp_coordinator.metrics.job_status import utc_now
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.text import printable
-from qdgrasp_tools.campaign.summaries import SORT_KEYS, select_objects
 from qdgrasp_tools.monitor import screen
-from qdgrasp_tools.monitor.feed import Feed, RecordFeed, summary_lines
+from qdgrasp_tools.monitor.feed import Feed, summary_lines
 from qdgrasp_tools.monitor.job_model import JobView, end_state
 from qdgrasp_tools.monitor.screen import Listing, text_line
 
-ListName = Literal["", "objects", "runs", "workers", "events"]
-LIST_KEYS: dict[str, ListName] = {"o": "objects", "r": "runs", "w": "workers", "e": "events"}
+ListName = Literal["", "runs", "workers", "events"]
+LIST_KEYS: dict[str, ListName] = {"r": "runs", "w": "workers", "e": "events"}
 LISTS: dict[str, Callable[[JobView, int], Listing]] = {
     "runs": screen.run_list,
     "workers": screen.worker_list,
@@ -43,7 +41,6 @@ BACK_KEYS = frozenset({"a", "escape"})
 STEP_KEYS = {"up": -1, "down": 1}
 JOB_KEYS = {**STEP_KEYS, "tab": 1, "right": 1, "backtab": -1, "left": -1}
 QUIT_KEYS = frozenset({"q", "Q"})
-OBJECT_KEYS = frozenset({"s", "S"})
 
 
 @dataclass(frozen=True)
@@ -53,8 +50,6 @@ class ScreenSelection:
     job: str = ""  # Its name; where there is no such job, the first one is selected
     list: ListName = ""  # The list that has all the room; empty: each has some
     top: int = 0  # The number of the first row of that list
-    sort: str = ""  # The key by which objects are sorted; empty: the order of their runs
-    down: bool = False  # Whether the greatest object comes first
 
     def index(self, jobs: Sequence[str]) -> int:
         """Return the index of the selected job among these names."""
@@ -62,8 +57,6 @@ class ScreenSelection:
 
     def after_key(self, key: str, jobs: Sequence[str], page: int) -> "ScreenSelection":
         """Return the selection after a key; `page` is the number of rows that a list shows."""
-        if self.list == "objects" and key in OBJECT_KEYS:
-            return self._after_object_key(key)
         if key in LIST_KEYS:
             return replace(self, list="" if self.list == LIST_KEYS[key] else LIST_KEYS[key], top=0)
         if key in BACK_KEYS:
@@ -78,19 +71,10 @@ class ScreenSelection:
             index = int(key) - 1
         return replace(self, job=jobs[(index + step) % len(jobs)], top=self.top if not step else 0)
 
-    def _after_object_key(self, key: str) -> "ScreenSelection":
-        """Return the selection after a key that sorts objects."""
-        if key == "S":
-            return replace(self, down=not self.down, top=0)
-        orders = ["", *SORT_KEYS]
-        return replace(self, sort=orders[(orders.index(self.sort) + 1) % len(orders)], top=0)
-
     @property
     def help(self) -> str:
         """The keys that have an effect now."""
-        if self.list == "objects":
-            return "q quit  a all  s sort  S turn the order  arrows scroll"
-        keys = "q quit  tab job  o objects  r runs  w workers  e events  arrows scroll"
+        keys = "q quit  tab job  r runs  w workers  e events  arrows scroll"
         return f"{keys}  a all" if self.list else keys
 
 
@@ -102,8 +86,6 @@ class ScreenState:
     endpoint: str
     at: datetime  # Local time
     is_linked: bool = True  # False while the router cannot be reached
-    objects: Sequence[ObjectListing] | None = None  # Of the selected job; None: they are not known
-    curve: GrowthCurve | None = None  # Of the selected job's only run; None: it is not known
 
     @property
     def names(self) -> list[str]:
@@ -152,14 +134,9 @@ class ScreenState:
 MIN_SIZE = (40, 12)  # The least columns and lines in which something can be shown
 WIDE_COLUMNS = 160  # columns from which two lists stand side by side
 SUMMARY_ROWS = 7  # lines of the summary of a job
-LEAST_ROWS = 4  # lines of a list or curves at least
+LEAST_ROWS = 4  # lines of a list at least
 MOST_RATIO = 12  # lines by which room is shared at most
-PARTS = (
-    "workers",
-    "curves",
-    "events",
-    "runs",
-)  # Parts of the screen below the summary, the most important first
+PARTS = ("workers", "events", "runs")  # Parts below the summary, the most important first
 
 
 def job_rows(shown: ScreenState, choice: ScreenSelection, height: int) -> int:
@@ -189,23 +166,21 @@ def _body(shown: ScreenState, choice: ScreenSelection, width: int, room: int) ->
     chosen = choice.index(shown.names)
     view, rows = shown.views[chosen], job_rows(shown, choice, room)
     jobs = Layout(screen.job_list(shown.views, chosen), size=rows)
-    if choice.list == "objects":
-        return [jobs, Layout(_objects(shown, view, choice))]
     if choice.list:
         return [jobs, Layout(LISTS[choice.list](view, choice.top))]
     summary = Layout(screen.titled(view.job, screen.job_summary(view)), size=SUMMARY_ROWS)
-    return [jobs, summary, *_below(view, shown.curve, width, room - rows - SUMMARY_ROWS)]
+    return [jobs, summary, *_below(view, width, room - rows - SUMMARY_ROWS)]
 
 
-def _below(view: JobView, curve: GrowthCurve | None, width: int, room: int) -> list[Layout]:
-    """Return curves, runs, workers and events: the most important ones that have room.
+def _below(view: JobView, width: int, room: int) -> list[Layout]:
+    """Return runs, workers and events: the most important ones that have room.
 
     On a wide terminal runs and workers stand side by side.
     """
     runs, workers, events = screen.run_list(view), screen.worker_list(view), screen.event_list(view)
     lists: dict[str, Listing] = {"runs": runs, "workers": workers, "events": events}
     lengths = {name: len(found.rows) + found.heads for name, found in lists.items()}
-    parts: dict[str, RenderableType] = {"curves": screen.CurveCharts(view, curve), **lists}
+    parts: dict[str, RenderableType] = {**lists}
     if view.figures.runs > 1 and width >= WIDE_COLUMNS:
         beside = Layout()
         beside.split_row(Layout(runs), Layout(workers))
@@ -213,28 +188,16 @@ def _below(view: JobView, curve: GrowthCurve | None, width: int, room: int) -> l
     if view.figures.runs < 2 or width >= WIDE_COLUMNS:
         del parts["runs"]
     kept = [name for name in parts if PARTS.index(name) < room // LEAST_ROWS]
-    fit = sum(lengths[name] for name in kept[1:]) + LEAST_ROWS <= room
+    fit = sum(lengths[name] for name in kept) <= room
     return [
         Layout(
             parts[name],
-            ratio=min(lengths.get(name, MOST_RATIO), MOST_RATIO),
+            ratio=min(lengths[name], MOST_RATIO),
             minimum_size=LEAST_ROWS,
-            size=lengths.get(name) if fit else None,
+            size=lengths[name] if fit else None,
         )
         for name in kept
     ] or [Layout(" ")]
-
-
-def _objects(shown: ScreenState, view: JobView, choice: ScreenSelection) -> RenderableType:
-    """Return the objects of a job, as they are sorted."""
-    title = f"objects of {view.job}"
-    if shown.objects is None:
-        words = "No recorder has told of the objects yet."
-        return screen.titled(title, words if view.figures.recorders else "There is no recorder.")
-    found = select_objects(shown.objects, sort=choice.sort, down=choice.down)
-    if choice.sort:
-        title += f" by {choice.sort}{', greatest first' if choice.down else ''}"
-    return screen.object_list(title, found, choice.top)
 
 
 KEYS = {
@@ -285,10 +248,10 @@ DRAW_INTERVAL = 0.5  # seconds between two pictures
 PRINT_INTERVAL = 5.0  # seconds between two reports where nothing can be drawn
 
 
-def watch_jobs(feed: Feed, records: RecordFeed, endpoint: str, console: Console, stop: Stop) -> None:
+def watch_jobs(feed: Feed, endpoint: str, console: Console, stop: Stop) -> None:
     """Show jobs until a key or a signal ends it."""
     if console.is_terminal and not console.is_dumb_terminal:
-        draw_screen(feed, records, endpoint, console, stop)
+        draw_screen(feed, endpoint, console, stop)
         return
     feed.wait(DRAW_INTERVAL)
     for _ in intervals(PRINT_INTERVAL, stop):
@@ -296,7 +259,7 @@ def watch_jobs(feed: Feed, records: RecordFeed, endpoint: str, console: Console,
             console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
-def draw_screen(feed: Feed, records: RecordFeed, endpoint: str, console: Console, stop: Stop) -> None:
+def draw_screen(feed: Feed, endpoint: str, console: Console, stop: Stop) -> None:
     """Draw the whole terminal twice a second, and after each key."""
     choice = ScreenSelection()
     live = Live(
@@ -305,10 +268,6 @@ def draw_screen(feed: Feed, records: RecordFeed, endpoint: str, console: Console
     with keyboard() as keys, live:
         while not stop.is_set:
             shown, (width, height) = screen_state(feed, endpoint), console.size
-            if shown.views:
-                view = shown.views[choice.index(shown.names)]
-                found = records.objects(view) if choice.list == "objects" else None
-                shown = replace(shown, objects=found, curve=None if choice.list else records.curve(view))
             live.update(screen_layout(shown, choice, width, height), refresh=True)
             for key in keys(DRAW_INTERVAL):
                 if key in QUIT_KEYS:

@@ -1,21 +1,18 @@
 """The feed: from the bus into the model of the jobs; and the overview."""
 
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-from tests.common import PATIENCE, wait_for
-from tests.tools.monitor.sample_jobs import figures, run, values, views
+from tests.common import PATIENCE
+from tests.tools.monitor.sample_jobs import figures, run, values
 
-from qdgrasp_coordinator.metrics.job_status import ObjectListings, to_json
+from qdgrasp_coordinator.metrics.job_status import to_json
 from qdgrasp_protocol.bus import Bus, Channel, Query
-from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.campaign.summaries import ObjectRun, list_objects
-from qdgrasp_tools.monitor.feed import Feed, RecordFeed
+from qdgrasp_tools.monitor.feed import Feed
 from qdgrasp_tools.monitor.job_model import JobView
 
 MUGS = Keys("mugs")
@@ -112,29 +109,3 @@ def test_a_feed_survives_that_it_is_cut_off(network: MemoryNetwork) -> None:
         near.reconnect()
         say(bus, MUGS.stat("job"), figures(evaluations=1234))
         until(feed, lambda views: feed.is_linked and views[0].figures.evaluations == 1234)
-
-
-class SlowRecorder:
-    """Answers once, when it is let go."""
-
-    def __init__(self) -> None:
-        self.go = threading.Event()
-        self.answers = [ObjectListings(objects=list_objects([ObjectRun("a", MUG)]))]
-
-    def objects(self, job: str) -> ObjectListings:
-        self.go.wait(PATIENCE)
-        if not self.answers:
-            raise NoReply("nobody answers")
-        return self.answers.pop()
-
-
-def test_records_are_read_in_a_thread_and_kept_where_nothing_answers() -> None:
-    (view,), recorder = views(values()), SlowRecorder()
-    feed = RecordFeed(recorder)  # type: ignore[arg-type]  # it has what is asked for
-    assert feed.objects(view) is None
-    recorder.go.set()
-    wait_for(lambda: feed.objects(view) is not None)
-    feed._due.clear()
-    feed.objects(view)
-    wait_for(lambda: not feed._thread.is_alive())
-    assert [each.object for each in feed.objects(view)] == ["mug"]
