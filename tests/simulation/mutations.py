@@ -16,7 +16,7 @@ from tests.simulation.plan import History, wild, with_bad_workers
 from tests.simulation.play import play
 
 from qdgrasp_coordinator.recorder.recorder import LockedJobFolder, Recorder
-from qdgrasp_coordinator.recorder.run_writer import Arrival, RunWriter
+from qdgrasp_coordinator.recorder.run_writer import RunWriter
 from qdgrasp_coordinator.scheduler import batch_dispatcher as dispatching
 from qdgrasp_coordinator.scheduler import worker_registry
 from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher, LeaseTable, Settlement
@@ -82,21 +82,21 @@ def _keep_held(on_answer: Real, session: JobSession, *answer: Any) -> bool:
     return is_current
 
 
-def _keep_settled(close: Real, batches: LeaseTable, state: Any, winner: str | None = None) -> None:
-    close(batches, state, winner)
+def _keep_settled(close: Real, batches: LeaseTable, state: Any) -> None:
+    close(batches, state)
     vars(batches).setdefault("kept", {})[state.id] = state
 
 
 def _settle_again(classify: Real, batches: Any, wid: str, result: Any) -> Settlement:
     kind: Settlement = classify(batches, wid, result)
-    if kind not in (Settlement.DUPLICATE, Settlement.LATE):
+    if kind is not Settlement.LATE or result.batch not in batches._settled:
         return kind
     batches._open[result.batch] = batches.kept[result.batch]
     return Settlement.FRESH
 
 
-def _close_and_keep(batches: LeaseTable, state: Any, winner: str | None = None) -> None:
-    batches._settled[state.id] = (batches._open.pop(state.id).leased, winner)
+def _close_and_keep(batches: LeaseTable, state: Any) -> None:
+    batches._settled[state.id] = batches._open.pop(state.id).leased
 
 
 def _accept_any_worker(classify: Real, batches: LeaseTable, wid: str, result: Any) -> Settlement:
@@ -182,11 +182,11 @@ def _number_batches(outbox: Outbox, part: JournalSlice) -> None:
         outbox._end += 1
 
 
-def _take_any_epoch(add_rows: Real, recorder: Recorder, message: Recordable, now: float) -> Arrival:
+def _take_any_epoch(add_rows: Real, recorder: Recorder, message: Recordable, now: float) -> bool:
     return add_rows(recorder, msgspec.structs.replace(message, epoch=recorder.epoch), now)
 
 
-def _take_past_gaps(add: Real, writer: RunWriter, part: JournalSlice, epoch: int, now: float) -> Arrival:
+def _take_past_gaps(add: Real, writer: RunWriter, part: JournalSlice, epoch: int, now: float) -> bool:
     part = replace(part, first=min(part.first, writer.expected))
     return add(writer, part, epoch, now)
 

@@ -19,9 +19,8 @@ from tests.simulation.worker import CREDIT, Forger, RandomFailures, Speed, Worke
 from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.recorder import run_writer
 from qdgrasp_coordinator.recorder.recorder import Recorder
-from qdgrasp_coordinator.recorder.run_writer import Arrival
 from qdgrasp_coordinator.scheduler import batch_dispatcher, recorder_client
-from qdgrasp_coordinator.scheduler.batch_dispatcher import Lease, Settlement, SettleReply, ShapeBuild
+from qdgrasp_coordinator.scheduler.batch_dispatcher import Lease, SettleReply, ShapeBuild
 from qdgrasp_coordinator.scheduler.batch_queue import RunRef
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox, RecorderClient
@@ -283,18 +282,19 @@ class DispatchChecker:
             require(not may, "work is handed out", "no failed row is leased to", may)
         return leases
 
-    def _settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply:
+    def _settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply | None:
         settled = self._real_settle(wid, result, rows, now)
-        self._host.note(f"hears {result.batch.hex()[-4:]} of worker {int(wid, 16)}: {settled.kind.value}")
+        self._host.note(
+            f"hears {result.batch.hex()[-4:]} of worker {int(wid, 16)}: {'fresh' if settled else 'dropped'}"
+        )
+        if settled is None:
+            return None
         self.taken_back.update(settled.superseded)
-        if settled.kind is not Settlement.FRESH:
-            return settled
         batch = result.batch
         require(batch not in self._settled, "settled once", "again:", batch.hex())
         require(wid in self._leased.get(batch, ()), "settled once", "by", wid, "who was not leased it")
         self._settled.add(batch)
-        if settled.rows is not None:
-            self._check_rows(result.run, settled.rows)
+        self._check_rows(result.run, settled.rows)
         return settled
 
     def _build(self, tasks: Iterable[ShapeTask]) -> None:
@@ -443,9 +443,9 @@ class SimulationChecker:
         """Watch the rows that a recorder takes."""
         add_rows = recorder.add_rows
 
-        def added(message: Recordable, now: float) -> Arrival:
+        def added(message: Recordable, now: float) -> bool:
             epoch, arrival = recorder.epoch, add_rows(message, now)
-            is_old = arrival is Arrival.TAKEN and message.epoch < epoch
+            is_old = arrival and message.epoch < epoch
             require(not is_old, "epochs rise", f"rows of epoch {message.epoch} are taken in {epoch}")
             return arrival
 
@@ -504,7 +504,7 @@ class SimulationChecker:
     def _check_run(self, run: ActiveRun) -> None:
         """Check what the outbox keeps."""
         assert isinstance(run.sink, RecorderClient)
-        box, plan = run.sink._outbox, self._stage.plans[run.name]
+        box, plan = run.sink, self._stage.plans[run.name]
         size = self._stage.task.shape.dtype.itemsize
         most = max(plan.in_flight, plan.most_in_flight) * plan.population * (1 + plan.trials)
         limit = recorder_client.MOST_UNCONFIRMED + most
@@ -563,7 +563,7 @@ class SimulationChecker:
 def _check_kept(box: Outbox) -> None:
     """Check that the outbox keeps everything behind what is confirmed, without a gap."""
     stop = box._kept[0].first if box._kept else box._end
-    require(stop <= box.confirmed or not box.unconfirmed, "recorded before forgotten", stop, box.confirmed)
+    require(stop <= box.durable or not box.unconfirmed, "recorded before forgotten", stop, box.durable)
     for part in box._kept:
         require(part.first == stop, "recorded before forgotten", "a gap at", stop)
         stop = part.stop

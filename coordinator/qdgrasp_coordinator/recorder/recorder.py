@@ -8,7 +8,6 @@ again, and these are news.
 """
 
 import time
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -17,7 +16,7 @@ from pathlib import Path
 
 import structlog
 
-from qdgrasp_coordinator.recorder.run_writer import Arrival, RunIdentity, RunWriter, check_same_run
+from qdgrasp_coordinator.recorder.run_writer import RunIdentity, RunWriter, check_same_run
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder
 from qdgrasp_coordinator.storage.journal import Journal, slice_from_message, slice_to_message
@@ -154,7 +153,6 @@ class Recorder:
         self._trouble = ""  # Reason why nothing can be written; empty when it can
         self._drops = DropCounter()
         self._news: set[str] = set()  # Runs that are to be reported
-        self._rows_not_taken: Counter[Arrival] = Counter()
         self.writers: dict[str, RunWriter] = {}
         """Writers of runs by name; other runs, also finished ones, may be in the folder."""
         self._waiting: dict[str, RunWriter] = {}
@@ -179,21 +177,22 @@ class Recorder:
             self._drops.note(sample.key, error)
 
     def _take_rows(self, message: Recordable, now: float) -> None:
-        arrival = self.add_rows(message, now)
-        if arrival is not Arrival.TAKEN:
-            self._rows_not_taken[arrival] += message.n
+        if not self.add_rows(message, now):
             self._news.add(message.run)
 
-    def add_rows(self, message: Recordable, now: float) -> Arrival:
-        """Queue rows for their commit; a run that was not opened, or another row shape, is refused."""
+    def add_rows(self, message: Recordable, now: float) -> bool:
+        """Queue rows for their commit; False: not taken.
+
+        A run that was not opened, or another row shape, is refused.
+        """
         writer = self._writer(message.run)
         if message.epoch < self.epoch:
-            return Arrival.STALE
-        arrival = writer.add(slice_from_message(message, writer.identity.shape), message.epoch, now)
+            return False
+        is_taken = writer.add(slice_from_message(message, writer.identity.shape), message.epoch, now)
         self._folder.epoch = message.epoch
-        if arrival is Arrival.TAKEN:
+        if is_taken:
             self._waiting[message.run] = writer
-        return arrival
+        return is_taken
 
     def set_platform(self, message: Platform) -> None:
         """Set the platform of rows to come; a journal gets it before its next rows."""
@@ -405,9 +404,6 @@ class Recorder:
         self._full_since, self._try_at, self._trouble = inf, -inf, ""
 
     def _take_reports(self) -> list[Recorded]:
-        for arrival, rows in self._rows_not_taken.items():
-            log.info("rows not taken", reason=arrival.value, rows=rows)
-        self._rows_not_taken.clear()
         reports = [self._report(run) for run in sorted(self._news)]
         for run in self._news:
             self._forget(run)

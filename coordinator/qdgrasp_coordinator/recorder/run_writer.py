@@ -7,7 +7,6 @@ Time is passed in, in seconds of any steady clock.
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import Enum
 from itertools import chain
 from math import inf
 from pathlib import Path
@@ -63,17 +62,6 @@ def check_same_run(path: Path, held: RunIdentity, asked: RunIdentity) -> None:
         )
     if (asked.run, asked.shape) != (held.run, held.shape):
         raise Refused(f"{path} holds run '{held.run}' with rows of {held.shape}")
-
-
-class Arrival(Enum):
-    """Result of offering rows."""
-
-    TAKEN = "taken"
-    """The rows, or the new part of them, wait for their commit."""
-    DUPLICATE = "known already"
-    GAP = "rows before them are missing"
-    STALE = "of a coordinator that was replaced"
-    FULL = "more than can wait"
 
 
 class RunWriter:
@@ -142,21 +130,20 @@ class RunWriter:
         except ImpossibleValue as reason:
             raise InputError(f"{self._folder.path} cannot end as is asked: {reason}") from None
 
-    def add(self, rows: JournalSlice, epoch: int, now: float) -> Arrival:
-        """Queue those of consecutive rows that are new for their commit."""
+    def add(self, rows: JournalSlice, epoch: int, now: float) -> bool:
+        """Queue those of consecutive rows that are new for their commit; False: none is taken.
+
+        They are of a coordinator that was replaced, known already, behind a gap, or more than can wait.
+        """
         if epoch < self._epoch:
-            return Arrival.STALE
+            return False
         self._epoch = epoch
-        if rows.first > self.expected:
-            return Arrival.GAP
-        if rows.stop <= self.expected:
-            return Arrival.DUPLICATE
-        if rows.stop - self.durable > MOST_WAITING:
-            return Arrival.FULL
+        if not rows.first <= self.expected < rows.stop or rows.stop - self.durable > MOST_WAITING:
+            return False
         if not self._waiting:
             self._since = now
         self._waiting.append(rows.part(self.expected, rows.stop))
-        return Arrival.TAKEN
+        return True
 
     def commit(self, platform: dict[str, str]) -> None:
         """Make the waiting rows durable, after the platform that they were made on if it is new.

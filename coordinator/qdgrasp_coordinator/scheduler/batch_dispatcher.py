@@ -75,24 +75,19 @@ class Settlement(Enum):
 
     FRESH = "fresh"
     """The first result of its batch: it is taken, all others are dropped."""
-    DUPLICATE = "duplicate"
-    """Its sender has already settled this batch."""
     LATE = "late"
-    """Another worker has already settled this batch."""
-    UNKNOWN = "unknown"
-    """No such batch is known, or no longer."""
+    """The batch was settled, or is not known any more."""
     FOREIGN = "foreign"
     """A result of another epoch, or from a worker that was never leased this batch."""
 
 
 @dataclass(frozen=True)
 class SettleReply:
-    """The answer to a result; the defaults are those of one that is dropped."""
+    """Rows and holders that a result settles."""
 
-    kind: Settlement
-    rows: Rows | None = None
-    """Settled rows with keys, genomes and results, in the order of the batch; None unless fresh."""
-    cpu_seconds: float = 0.0
+    rows: Rows
+    """Settled rows with keys, genomes and results, in the order of the batch."""
+    cpu_seconds: float
     """Cost of the batch [CPU s]."""
     failures: tuple[Failure, ...] = ()
     """Reasons of final failures, by place in `rows`, which hold `Outcome.ERROR` and zeros."""
@@ -107,8 +102,8 @@ class LeaseTable:
         self._epoch = epoch
         self._open: OrderedDict[bytes, Batch | ShapeBuild] = OrderedDict()
         """By id; the latest leases are at the end."""
-        self._settled: OrderedDict[bytes, tuple[set[str], str | None]] = OrderedDict()
-        """By id: the workers that were leased it, and the one that settled it; None: withdrawn."""
+        self._settled: OrderedDict[bytes, set[str]] = OrderedDict()
+        """By id: the workers that were leased it."""
 
     def hand_over(self, task: Batch | ShapeBuild, wid: str, now: float) -> None:
         """Record that a worker holds a batch from now on."""
@@ -149,25 +144,23 @@ class LeaseTable:
         """Leased, unsettled builds."""
         return [task for task in self._open.values() if isinstance(task, ShapeBuild)]
 
-    def close(self, task: Task, winner: str | None = None) -> None:
-        """Move a batch to the settled ones, without its rows; without a winner if withdrawn."""
+    def close(self, task: Task) -> None:
+        """Move a batch to the settled ones, without its rows."""
         del self._open[task.id]
-        self._settled[task.id] = (task.leased, winner)
+        self._settled[task.id] = task.leased
         if len(self._settled) > MOST_SETTLED:
             self._settled.popitem(last=False)
 
     def classify(self, wid: str, result: Result | Built) -> Settlement:
         """Return the kind of a result on a worker's key; MessageError if it does not fit its batch."""
         task = self._open.get(result.batch)
-        leased, winner = (task.leased, None) if task else self._settled.get(result.batch, (None, None))
+        leased = task.leased if task else self._settled.get(result.batch)
         if result.epoch != self._epoch or (leased is not None and wid not in leased):
             return Settlement.FOREIGN
         if task is not None:
             _check_result(task, result)
             return Settlement.FRESH
-        if leased is None:
-            return Settlement.UNKNOWN
-        return Settlement.DUPLICATE if winner == wid else Settlement.LATE
+        return Settlement.LATE
 
 
 class Dispatcher:
@@ -218,8 +211,8 @@ class Dispatcher:
 
     @property
     def strays(self) -> int:
-        """Number of dropped results: late, duplicate, unknown or foreign."""
-        return sum(self.counters[kind.value] for kind in Settlement if kind is not Settlement.FRESH)
+        """Number of dropped results: late or foreign."""
+        return self.counters["late"] + self.counters["foreign"]
 
     # Leases.
 
@@ -343,16 +336,16 @@ class Dispatcher:
 
     # Answers.
 
-    def settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply:
-        """Settle a result: the first of a batch counts, if its sender was leased the batch.
+    def settle(self, wid: str, result: Result, rows: Rows, now: float) -> SettleReply | None:
+        """Settle a result: the first of a batch counts; None: dropped.
 
-        Keys and genomes are filled into `rows`, the unpacked columns of the result that came on the key of
-        worker `wid`. Raises MessageError if its run or number of rows is not its batch's, or it names a
-        failed row that the batch has not.
+        Its sender must have been leased the batch. Keys and genomes are filled into `rows`, the unpacked
+        columns of the result. Raises MessageError if its run or number of rows is not its batch's, or it
+        names a failed row that the batch has not.
         """
-        kind, batch = self._close(wid, result, now)
+        batch = self._close(wid, result, now)
         if not isinstance(batch, Batch):
-            return SettleReply(kind)
+            return None
         self._queue.measure(batch, result.cpu_seconds)
         if wid in batch.holders:
             self._workers.lease_timeout.measure(now - batch.holders[wid])
@@ -368,14 +361,12 @@ class Dispatcher:
             for place in sorted(failed):
                 self._queue.requeue_row(batch, place, wid)
             settled = np.delete(rows, list(failed)) if failed else rows
-            return SettleReply(Settlement.FRESH, settled, result.cpu_seconds)
+            return SettleReply(settled, result.cpu_seconds)
         self.counters["errors"] += len(failed)
         failures = tuple(Failure(row=place, reason=reason) for place, reason in failed.items())
-        return SettleReply(Settlement.FRESH, rows, result.cpu_seconds, failures)
+        return SettleReply(rows, result.cpu_seconds, failures)
 
-    def _close(
-        self, wid: str, result: Result | Built, now: float
-    ) -> tuple[Settlement, Batch | ShapeBuild | None]:
+    def _close(self, wid: str, result: Result | Built, now: float) -> Batch | ShapeBuild | None:
         """Settle a batch or build by its first result; gives it if this is that one."""
         kind = self._table.classify(wid, result)
         self.counters[kind.value] += 1
@@ -384,8 +375,8 @@ class Dispatcher:
         task = self._table.find(result.batch) if kind is Settlement.FRESH else None
         if task is not None:
             self._remove(task)
-            self._table.close(task, winner=wid)
-        return kind, task
+            self._table.close(task)
+        return task
 
     def _release_others(self, task: Task, winner: str) -> tuple[str, ...]:
         """Free the credit of other holders of a settled batch; returns these."""
@@ -414,7 +405,7 @@ class Dispatcher:
         if is_late and built.reason and not built.is_final:  # another worker is at work on it
             self._workers.answered(wid, built.batch, now)
             return None
-        _, build = self._close(wid, built, now)
+        build = self._close(wid, built, now)
         if not isinstance(build, ShapeBuild):
             return None
         superseded = self._release_others(build, wid)

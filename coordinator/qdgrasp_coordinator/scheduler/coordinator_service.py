@@ -248,7 +248,8 @@ class CoordinatorService:
                 self.scheduler.handle(event, time.monotonic())
         now = time.monotonic()
         self.scheduler.step(now)
-        self._publisher.publish_due(now)
+        if now >= self._publisher.due:
+            self._publisher.publish(now)
 
     def _obey(self, order: Order, answer: "Future[str]", now: float) -> None:
         try:

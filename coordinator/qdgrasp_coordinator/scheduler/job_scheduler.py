@@ -175,10 +175,10 @@ class JobScheduler:
             return
         result, rows = read_result(result, run.plan.shape)
         settled = self.dispatcher.settle(wid, result, rows, now)
+        if settled is None:
+            return
         for other in settled.superseded:
             self._drop(other, [result.batch])
-        if settled.rows is None:
-            return
         self.workers.on_settled(wid, len(settled.rows), now)
         if failures := settled.failures:
             rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
@@ -232,7 +232,7 @@ class JobScheduler:
             words = "A recorder is there." if alive else "The recorder is gone; what is found waits for one."
             self.events.note("recorder", words)
         for run in self.runs if alive else ():
-            run.sink.on_recorder_up(now)
+            run.sink.resend(now)
 
     def _on_load_ended(self, event: LoadEnded) -> None:
         self.runs.load_ended(event)
@@ -252,7 +252,7 @@ class JobScheduler:
         except Refused as refusal:
             self._on_not_opened(RunFailed(run.name, f"Its rows were made elsewhere: {refusal}."))
             return
-        run.sink.set_platform(workers.platform)
+        run.sink.platform = workers.platform
         for worker in list(workers):
             if lacks_engine(run.plan.spec.engine, worker.join.platform):
                 workers.drain(worker.wid)
@@ -316,7 +316,7 @@ class JobScheduler:
         log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)
         answer.set_result(messages.encode(messages.Joined(epoch=self.epoch, drop=drop)))
         for run in self.runs if self.workers.platform != platform else ():
-            run.sink.set_platform(self.workers.platform)
+            run.sink.platform = self.workers.platform
 
     def _on_lost(self, lost: LostWorker) -> None:
         """Queue again the batches of a worker that left, vanished or is stuck."""

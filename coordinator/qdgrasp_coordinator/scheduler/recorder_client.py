@@ -31,6 +31,8 @@ class RowSink(ABC):
 
     trouble: str = ""
     """Reason why rows cannot be written now; empty when they can."""
+    durable: int = 0
+    """Number of durable rows of the run."""
 
     def __init__(self, shape: RowShape) -> None:
         self._shape = shape
@@ -51,10 +53,6 @@ class RowSink(ABC):
     def push(self, part: JournalSlice) -> None:
         """Take rows that became final."""
 
-    def set_platform(self, platform: dict[str, str]) -> None:
-        """Note the platform of this job's rows."""
-        self.platform = platform
-
     def tick(self, now: float) -> None:
         """Send the messages that are due."""
         return
@@ -63,14 +61,9 @@ class RowSink(ABC):
         """Process a recorder's report."""
         return
 
-    def on_recorder_up(self, now: float) -> None:
+    def resend(self, now: float) -> None:
         """Send again the rows that are not durable: a recorder appeared."""
         return
-
-    @property
-    @abstractmethod
-    def durable(self) -> int:
-        """Number of durable rows of the run."""
 
     @property
     def is_full(self) -> bool:
@@ -106,11 +99,7 @@ class MemorySink(RowSink):
     def push(self, part: JournalSlice) -> None:
         """Keep the rows."""
         self._parts.append(part.rows)
-
-    @property
-    def durable(self) -> int:
-        """Number of rows taken."""
-        return sum(map(len, self._parts))
+        self.durable += len(part)
 
 
 MESSAGE_ROWS = 1024  # The most rows in one message
@@ -123,7 +112,11 @@ class Outbox:
     """Unconfirmed rows of one run, of which `durable` rows were durable when it was opened."""
 
     def __init__(self, durable: int = 0) -> None:
-        self.confirmed = durable  # Rows that the recorder reported durable
+        self.start(durable)
+
+    def start(self, durable: int) -> None:
+        """Begin behind so many durable rows, with none to send."""
+        self.durable = durable
         self._kept: deque[JournalSlice] = deque()
         self._end = durable
         self._sent = durable
@@ -133,7 +126,7 @@ class Outbox:
     @property
     def unconfirmed(self) -> int:
         """Number of rows not known to be durable."""
-        return self._end - self.confirmed
+        return self._end - self.durable
 
     @property
     def is_empty(self) -> bool:
@@ -175,28 +168,28 @@ class Outbox:
         when nothing else was reported for `DOUBT_SECONDS`.
         """
         # Lower numbers come late now and then; for seconds alone they say that a disk was restored.
-        if number < self.confirmed or number > self._end:
+        if number < self.durable or number > self._end:
             if self._lower_since is None:
                 self._lower_since = now
             elif now >= self._lower_since + DOUBT_SECONDS:
-                raise RecorderFellBack(number, self.confirmed, self._end)
+                raise RecorderFellBack(number, self.durable, self._end)
             return
         self._lower_since = None
-        if number > self.confirmed:
+        if number > self.durable:
             self._progress = now
             self._forget(number)
 
     def resend(self, now: float) -> None:
         """Have all unconfirmed rows sent again: a new recorder may have missed them."""
-        self._sent = self.confirmed
+        self._sent = self.durable
         self._progress = now
 
     @property
     def _is_waiting(self) -> bool:
-        return self._sent > self.confirmed
+        return self._sent > self.durable
 
     def _forget(self, number: int) -> None:
-        self.confirmed = number
+        self.durable = number
         self._sent = max(self._sent, number)
         while self._kept and self._kept[0].stop <= number:
             self._kept.popleft()
@@ -210,17 +203,17 @@ A request on a lost link is lost; each wait in vain doubles the time, as a recor
 """
 
 
-class RecorderClient(RowSink):
+class RecorderClient(Outbox, RowSink):
     """The recorder at the other end of the bus (docs/bus.md, rule 8)."""
 
     def __init__(self, bus: Bus, job: str, shape: RowShape) -> None:
-        super().__init__(shape)
+        Outbox.__init__(self)
+        RowSink.__init__(self, shape)
         self._bus = bus
         self._keys = Keys(job)
         self._job = job
         self._run = ""
         self._epoch = 0
-        self._outbox = Outbox(0)
 
     def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
         """Ask the recorder to open the run, again and again until one answers.
@@ -229,7 +222,7 @@ class RecorderClient(RowSink):
         """
         opened = self._open([run], epoch, wait)
         self._run, self._epoch = run.run, opened.epoch
-        self._outbox = Outbox(opened.durable[0])
+        self.start(opened.durable[0])
         self.platform = opened.platform
         return opened
 
@@ -270,10 +263,6 @@ class RecorderClient(RowSink):
                 self.trouble = ""
                 return answer
 
-    def push(self, part: JournalSlice) -> None:
-        """Keep rows until they are durable."""
-        self._outbox.push(part)
-
     def on_report(self, message: Recorded, now: float) -> None:
         """Note the number of durable rows."""
         if message.epoch > self._epoch > 0:
@@ -282,37 +271,18 @@ class RecorderClient(RowSink):
             return
         self.trouble = message.trouble
         try:
-            self._outbox.confirm(message.durable, now)
+            self.confirm(message.durable, now)
         except RecorderFellBack as fallen:
             raise fallen.of(self._run) from None
 
-    def on_recorder_up(self, now: float) -> None:
-        """A recorder appeared: send again the rows that are not durable."""
-        self._outbox.resend(now)
-
     def tick(self, now: float) -> None:
         """Send the rows that are due."""
-        parts = self._outbox.take_due(now)
+        parts = self.take_due(now)
         if parts:  # The platform goes before each burst of rows: a message may have been lost
             self._put(self._keys.outcome(self._epoch), Platform(epoch=self._epoch, platform=self.platform))
         for part in parts:
             message = slice_to_message(part, self._run, self._epoch, self._shape)
             self._put(self._keys.outcome(self._epoch), message)
-
-    @property
-    def is_full(self) -> bool:
-        """True if too many rows are unconfirmed."""
-        return self._outbox.is_full
-
-    @property
-    def is_empty(self) -> bool:
-        """True if all rows are durable."""
-        return self._outbox.is_empty
-
-    @property
-    def durable(self) -> int:
-        """Number of rows of the run on disk."""
-        return self._outbox.confirmed
 
     def _put(self, key: str, message: Recordable | Platform) -> None:
         kind = type(message)

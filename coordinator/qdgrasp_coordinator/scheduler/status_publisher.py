@@ -85,11 +85,6 @@ class StatusPublisher:
         self._identity = identity
         self._put(self._keys.meta, self._meta)
 
-    def publish_due(self, now: float) -> None:
-        """Publish the figures if they are due."""
-        if now >= self.due:
-            self.publish(now)
-
     def publish(self, now: float) -> None:
         """Publish the figures of job, runs and workers."""
         self.due = now + STATUS_INTERVAL

@@ -86,8 +86,6 @@ class Worker:
     """Since when it owes an answer: its last one, or when it was leased something while it held nothing."""
     rows: int = 0
     """Rows that it settled."""
-    memory: int = 0
-    restarts: int = 0
     sign: Heartbeat = NO_SIGN
     """Its latest sign; before the first one, one that says nothing."""
 
@@ -163,8 +161,8 @@ class Worker:
             rate=round(self.speed.rate(now), 2),
             seconds=round(now - self.since, 2),
             seen=round(now - self.heard, 2),
-            memory=self.memory,
-            restarts=self.restarts,
+            memory=self.sign.memory,
+            restarts=self.sign.restarts,
         )
 
 
@@ -383,8 +381,7 @@ class WorkerRegistry:
     def on_heartbeat(self, wid: str, heartbeat: Heartbeat, now: float) -> None:
         """Record a worker's heartbeat; it renews leases only if the simulator progresses."""
         if (worker := self._workers.get(wid)) is not None:
-            worker.heard, worker.memory, worker.restarts = now, heartbeat.memory, heartbeat.restarts
-            worker.sign = heartbeat
+            worker.heard, worker.sign = now, heartbeat
         if heartbeat.progressed:
             self.progressed(wid, now)
 

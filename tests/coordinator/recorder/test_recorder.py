@@ -14,7 +14,7 @@ from qdgrasp_coordinator.recorder.recorder import (
     Recorder,
     open_recorder,
 )
-from qdgrasp_coordinator.recorder.run_writer import GROUP_SECONDS, Arrival
+from qdgrasp_coordinator.recorder.run_writer import GROUP_SECONDS
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal, JournalSlice, slice_to_message
@@ -230,7 +230,7 @@ class TestRows:
             MessageError, match=f"column '{column}' holds {np.float32(number):g}".replace("+", ".")
         ):
             recorder.add_rows(message, 0.0)
-        assert recorder.add_rows(rows("a", 0, 10), 0.0) is Arrival.TAKEN
+        assert recorder.add_rows(rows("a", 0, 10), 0.0)
 
     def test_a_recorder_that_comes_back_finds_a_run_by_its_name(self, path: Path) -> None:
         with recording(path) as recorder:
@@ -240,8 +240,8 @@ class TestRows:
         with recording(path) as recorder:
             assert recorder.writers == {}
             assert recorder.page(Log(run="a", first=5, limit=100)).n == 5
-            assert recorder.add_rows(rows("a", 5, 30), 0.0) is Arrival.TAKEN
-            assert recorder.add_rows(rows("b", 1, 2), 0.0) is Arrival.GAP
+            assert recorder.add_rows(rows("a", 5, 30), 0.0)
+            assert not recorder.add_rows(rows("b", 1, 2), 0.0)
             recorder.commit("a")
             for unknown in ("c", "run"):
                 with pytest.raises(Refused, match=f"no journal of run '{unknown}'"):

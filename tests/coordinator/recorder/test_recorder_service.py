@@ -106,12 +106,12 @@ class TestRecording:
         with recording(network, folder.path):
             run.meet()
             link.open(run.question(), 0, lambda: None)
-        link.set_platform({"pybullet": "3.2.7"})
+        link.platform = {"pybullet": "3.2.7"}
         link.push(JournalSlice(0, make_rows(10)))
         link.tick(0.0)
         with recording(network, folder.path):
             run.meet()
-            link.on_recorder_up(0.1)
+            link.resend(0.1)
             link.tick(0.2)
             run.hears(lambda report: report.durable == 10)
         with folder.journal() as journal:

@@ -73,7 +73,7 @@ def settle(
     wid: str = "",
     failed: tuple[int, ...] = (),
     epoch: int = EPOCH,
-) -> SettleReply:
+) -> SettleReply | None:
     rows = SHAPE.empty(len(lease.task))
     rows["outcome"], rows["nu"] = Outcome.HELD, lease.task.rows.indices
     wid = wid or lease.wid

@@ -23,7 +23,7 @@ from tests.coordinator.scheduler.leases import (
 )
 from tests.fakes.messages import ANN, BOB, EVE, FAY, join_message
 
-from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Lease, Settlement
+from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Lease
 from qdgrasp_coordinator.scheduler.worker_registry import (
     ANSWER_SECONDS,
     AWAY_SECONDS,
@@ -134,7 +134,7 @@ class TestTurnsOfRuns:
         mine = [lease for lease in dispatch.leases(0.0) if lease.task.run.run == "run"]
         assert dispatch.withdraw("run") == {ANN: [lease.task.id for lease in mine]}
         assert {lease.task.run.run for lease in dispatch.leases(0.1)} == {"other"}
-        assert settle(dispatch, mine[0], 0.2).kind is Settlement.LATE
+        assert settle(dispatch, mine[0], 0.2) is None
         assert dispatch.withdraw("run") == {}
 
 
@@ -143,7 +143,6 @@ class TestSettlement:
         dispatch = with_work(n=10, batch_size=5)
         _, lease = dispatch.leases(0.0)
         settled = settle(dispatch, lease, 0.5)
-        assert settled.kind is Settlement.FRESH
         assert settled.rows["index"].tolist() == settled.rows["nu"].tolist() == [5, 6, 7, 8, 9]
         assert settled.rows["genome"].tobytes() == genomes(10)[5:].tobytes()
         assert (settled.cpu_seconds, settled.failures, settled.superseded) == (0.5, (), ())
@@ -155,22 +154,22 @@ class TestSettlement:
         (bobs,) = dispatch.leases(LEASE_SECONDS)
         assert (bobs.wid, bobs.task) == (BOB, anns.task)
         settled = settle(dispatch, anns, 11.0)
-        assert (settled.kind, settled.superseded) == (Settlement.FRESH, (BOB,))
+        assert settled.superseded == (BOB,)
         submit(dispatch, 4, generation=1)
         assert BOB in [lease.wid for lease in dispatch.leases(11.0)]
-        assert settle(dispatch, bobs, 12.0).kind is Settlement.LATE
+        assert settle(dispatch, bobs, 12.0) is None
 
     def test_each_kind_of_result_is_told_apart_and_counted(self) -> None:
         dispatch, lease = with_one_lease()
         dispatch.admit(EVE, 1, 0, [], 0.0)
-        kinds = [
-            settle(dispatch, lease, 0.1, epoch=EPOCH - 1).kind,
-            settle(dispatch, lease, 0.1, wid=EVE).kind,
-            settle(dispatch, lease, 0.1).kind,
-            settle(dispatch, lease, 0.1).kind,
-            settle(with_work(n=0), lease, 0.1).kind,
+        dropped = [
+            settle(dispatch, lease, 0.1, epoch=EPOCH - 1),
+            settle(dispatch, lease, 0.1, wid=EVE),
+            settle(with_work(n=0), lease, 0.1),
         ]
-        assert [kind.value for kind in kinds] == ["foreign", "foreign", "fresh", "duplicate", "unknown"]
+        assert dropped == [None] * 3
+        assert settle(dispatch, lease, 0.1) is not None
+        assert settle(dispatch, lease, 0.1) is None
         assert (dispatch.counters["foreign"], dispatch.strays) == (2, 3)
 
     @pytest.mark.parametrize(
@@ -181,7 +180,7 @@ class TestSettlement:
         answer = structs.replace(result(lease), **wrong)
         with pytest.raises(MessageError):
             dispatch.settle(ANN, answer, SHAPE.empty(answer.n), 0.1)
-        assert settle(dispatch, lease, 0.2).kind is Settlement.FRESH
+        assert settle(dispatch, lease, 0.2) is not None
 
 
 class TestFailedRows:

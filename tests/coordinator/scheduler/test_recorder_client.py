@@ -91,10 +91,10 @@ def test_an_overtaken_report_is_ignored() -> None:
     outbox = filled(10, sent=0.0)
     outbox.confirm(8, 0.1)
     outbox.confirm(3, 0.2)
-    assert outbox.confirmed == 8
+    assert outbox.durable == 8
     outbox.confirm(8, 1.0)
     outbox.confirm(3, 1.0 + DOUBT_SECONDS)
-    assert outbox.confirmed == 8
+    assert outbox.durable == 8
 
 
 @pytest.mark.parametrize("number", [3, 11])
