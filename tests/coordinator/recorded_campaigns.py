@@ -30,9 +30,9 @@ KINDS: dict[str, dict[Outcome, float]] = {
 }
 """Shares of outcomes of the kinds of objects, which follow each other again and again."""
 SKIPPED = (
-    SkippedObject("torn", "/library/torn.stl", "it is not closed", "--remesh or --hull"),
-    SkippedObject("split", "/library/split.stl", "it has 2 bodies", "--glued"),
-    SkippedObject("cracked", "/library/cracked.stl", "it is not closed", "--remesh or --hull"),
+    SkippedObject("torn", "/library/torn.stl", "it is not closed; --remesh or --hull"),
+    SkippedObject("split", "/library/split.stl", "it has 2 bodies; --glued"),
+    SkippedObject("cracked", "/library/cracked.stl", "it is not closed; --remesh or --hull"),
 )
 CATEGORIES = ("mug", "tool", "box")
 HANDS = ("panda", "allegro")

@@ -28,7 +28,7 @@ NOTES = tuple(field.name for field in structs.fields(ObjectRecord))
 MASS_DIGITS = 6  # Significant digits of a mass that follows from a density
 GREATEST_MASS = 1000  # Greatest mass that a spec allows [kg]
 NO_MASS = "it has no mass; say what it weighs with --mass or --density, or in a manifest"
-REPORT_COLUMNS = ("object", "file", "reason", "mend")
+REPORT_COLUMNS = ("object", "file", "reason")
 
 
 class LibraryRules(Struct, frozen=True, kw_only=True):
@@ -55,8 +55,7 @@ class SkippedObject(Struct, frozen=True):
     object: str
     file: str
     reason: str
-    mend: str
-    """Advice; empty: none is known."""
+    """What is wrong, and what to do where that is known."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ def read_library(where: Path, rules: LibraryRules, tell: Tell = ignore_progress)
     if faults and not (rules.skip_unusable and objects):
         raise UnusableMeshes(len(rows), faults)
     files = {row.name: str(row.file) for row in rows}
-    return Library(objects, tuple(_skipped(name, files[name], why) for name, why in faults.items()))
+    return Library(objects, tuple(SkippedObject(name, files[name], why) for name, why in faults.items()))
 
 
 def mesh_fault(checked: MeshCheck, mass: float | None) -> str:
@@ -175,13 +174,6 @@ def _mass(row: LibraryRow, rules: LibraryRules, checked: MeshCheck) -> float | N
         return row.mass
     density = rules.density if row.density is None else row.density
     return rules.mass if density is None else float(f"{density * checked.volume:.{MASS_DIGITS}g}")
-
-
-def _skipped(name: str, file: str, why: str) -> SkippedObject:
-    """Split each fault, which says what is wrong and then what to do."""
-    parts = [fault.partition("; ") for fault in why.split("; and ")]
-    reasons, mends = (" and ".join(part[i] for part in parts if part[i]) for i in (0, 2))
-    return SkippedObject(name, file, reasons, mends)
 
 
 def _repeats(rows: Sequence[LibraryRow]) -> dict[str, str]:

@@ -119,18 +119,15 @@ def best_of_kinds(rows: Rows, most: int, body: SceneObject, kinds: NDArray[np.in
     return rows[order[np.sort(first)]][:most]
 
 
-def kinds_of_run(
-    spec: RunSpec, rows: Rows, reader: GenomeReader, by_niche: bool | None = None
-) -> NDArray[np.int64] | None:
-    """Return the kinds (n,) of a run's rows for `best_of_kinds`; None: their cells.
+def kinds_of_run(spec: RunSpec, rows: Rows, reader: GenomeReader) -> NDArray[np.int64] | None:
+    """Return the kinds (n,) of rows for `best_of_kinds`, as the run's search told them apart.
 
-    They are niches or, where `by_niche` is False, cells; None: as the run's search told grasps apart.
+    None: by their cells.
     """
-    diversity = spec.diversity or "position"
-    if by_niche is False or (by_niche is None and diversity == "position"):
+    if spec.diversity in (None, "position"):
         return None
     keys = niches(rows, reader)
-    return without_synergy(keys) if by_niche is None and diversity == "orientation" else keys
+    return without_synergy(keys) if spec.diversity == "orientation" else keys
 
 
 def source_file(source: RunFolder, rows: Rows) -> dict[str, bytes]:

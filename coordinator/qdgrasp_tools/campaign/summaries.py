@@ -217,19 +217,13 @@ def _state(runs: int, done: int, failed: int, *, has_begun: bool, is_building: b
 
 
 def _skipped_listing(skipped: SkippedObject) -> ObjectListing:
-    mend = f"; mend: {skipped.mend}" if skipped.mend else ""
     return ObjectListing(
         **structs.asdict(NO_TOTALS),
         object=skipped.object,
         file=skipped.file or skipped.object,
         state="skipped",
-        warnings=[f"left out: {skipped.reason}{mend}"],
+        warnings=[f"left out: {skipped.reason}"],
     )
-
-
-def _is_early(run: ObjectRun) -> bool:
-    """Return whether a finished run has counted fewer evaluations than its budget."""
-    return run.totals is not None and run.totals.evaluations < run.spec.evaluations
 
 
 def _shortfall(done: Sequence[ObjectRun], means: tuple[float, float], medians: Sequence[float]) -> str:
@@ -244,12 +238,7 @@ def _shortfall(done: Sequence[ObjectRun], means: tuple[float, float], medians: S
         head, cause = "few cells", found.found
     else:
         return ""
-    early = [run for run in done if _is_early(run)]
-    if not early:
-        return f"{head}: {cause}"
-    budget = sum(run.spec.evaluations for run in early)
-    evaluations = sum(run.totals.evaluations for run in early if run.totals)
-    return f"{head}: {cause}; ended early, after {evaluations} of {counted(budget, 'evaluation')}"
+    return f"{head}: {cause}"
 
 
 def main_loss(found: RunTotals) -> str:
@@ -413,7 +402,7 @@ class CampaignSummary(Struct, frozen=True, kw_only=True):
         lines.append(f"{'got little':<16} {len(little)}")
         lines += [f"  {words}" for words in little[:LEAST_NAMED]]
         if len(little) > LEAST_NAMED:
-            lines.append(f"  and {len(little) - LEAST_NAMED} more, which --objects --sort note lists first")
+            lines.append(f"  and {len(little) - LEAST_NAMED} more, which --objects lists")
         return "\n".join(lines)
 
 
@@ -431,7 +420,10 @@ def campaign_summary(folder: JobFolder) -> CampaignSummary:
     finished = {name: found.totals for name, found in begun.items() if found.finished}
     extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(finished)
     objects = _objects_of(folder, runs, begun)
-    reasons = Counter(DIGITS.sub("N", skipped.reason) for skipped in read_skip_report(folder.path / SKIPPED))
+    reasons = Counter(
+        DIGITS.sub("N", skipped.reason.partition("; ")[0])
+        for skipped in read_skip_report(folder.path / SKIPPED)
+    )
     return CampaignSummary(
         campaign=folder.name,
         runs=extent.runs,

@@ -13,14 +13,12 @@ from typing import Annotated
 
 import msgspec
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_paths import named_path, path_problem
-from qdgrasp_assets.asset_report import AssetReport, AssetSummary, ObjectReport, inspect_object, is_gripper
+from qdgrasp_assets.asset_report import AssetReport, AssetSummary, ObjectReport, inspect_object
 from qdgrasp_assets.asset_report import check as check_asset
-from qdgrasp_assets.geometry.collision_parts import ignore_progress
+from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.object_model import ObjectDraft, ObjectModel, file_facts, geometry_of, read_draft
@@ -29,8 +27,8 @@ from qdgrasp_assets.ycb import YCB_HOME, YCB_TERMS, WrongScan, fetch_scan
 from qdgrasp_coordinator.storage.outputs import OutFile, is_drawn_here
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.errors import AssetError, InputError
-from qdgrasp_protocol.spec import RunSpec, run_spec
+from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.spec import run_spec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import progress_messages
@@ -49,26 +47,7 @@ def refuse_faulty(kind: str, found: AssetReport, why: str = "cannot be used as i
         raise AssetError(f"The {kind} '{found.name}' {why}: correct {listed}.")
 
 
-def picture_folder(path: Path | None, flag: str, names: Iterable[str]) -> Path | None:
-    """Return the folder that a flag names for pictures; None: no pictures are asked for.
-
-    Raises `OutputError` where they cannot be written there, `InputError` where two would be one file.
-    """
-    if path is None:
-        return None
-    drawn: dict[Path, str] = {}
-    for name in dict.fromkeys(names):
-        file = picture_file(path, name, flag)
-        file.check()
-        if (other := drawn.setdefault(file.path, name)) != name:
-            raise InputError(
-                f"'{other}' and '{name}' would both be drawn to '{file.path}'; name them in two commands, "
-                f"with another {flag} for each."
-            )
-    return path
-
-
-def picture_file(folder: Path, name: str, flag: str = "--out") -> OutFile:
+def picture_file(folder: Path, name: str, flag: str = "--picture") -> OutFile:
     """Return the picture's file; an earlier picture drawn by this program is replaced."""
     place, instead = folder / f"{Path(name).stem}.png", f"name another path with {flag}"
     return OutFile(place, instead, force=True, is_kind=is_drawn_here)
@@ -128,8 +107,8 @@ def fetch(
     refused = []
     for name in wanted:
         try:
-            with _progress() as bars:
-                fetched = fetch_scan(name, home, _bar(bars, name))
+            with progress_messages() as tell:
+                fetched = fetch_scan(name, home, _telling(tell, name))
             echo(f"{name}: fetched, and it measures what it must: {fetched}")
         except WrongScan as error:
             refused.append(str(error))
@@ -147,25 +126,16 @@ def check(
             metavar="[NAME|FILE]...", help="Of the catalog, a mesh or a gripper's TOML; default: all here."
         ),
     ] = None,
-    pictures: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Draw each that can be used: a hand open and closed, an object's parts."
-        ),
-    ] = None,
 ) -> None:
-    """Say what assets are and what is wrong with them, and draw them.
+    """Say what assets are and what is wrong with them.
 
-    Example: qdgrasp asset check ycb_mug part.stl my_hand.toml --pictures pictures
+    Example: qdgrasp asset check ycb_mug part.stl my_hand.toml
     """
     named = names or [*catalog.gripper_names(), *catalog.object_names()]
-    drawing = picture_folder(pictures, "--pictures", named)
     reports = [check_asset(name) for name in named]
     for report in reports:
         for line in _lines(report):
             echo(line)
-        if drawing is not None and not report.faults:
-            echo(f"      drawn: {draw_asset(_asset(report.name), report.name, drawing)}")
     wrong = [report.name for report in reports if report.faults]
     if wrong:
         raise AssetError(
@@ -200,11 +170,6 @@ def resting_poses_of(
         echo(f"{number:>4} {pose.probability:>11.3f}  {up:<22} {-pose.height:>10.4f}")
 
 
-def _asset(name: str) -> Gripper | ObjectModel:
-    is_hand, any_mass = is_gripper(name), RunSpec(gripper="", object=name, mass=1.0)
-    return catalog.find_gripper(name) if is_hand else catalog.find_object(any_mass)
-
-
 def _lines(report: AssetSummary) -> Iterable[str]:
     if report.facts or not report.faults:
         yield f"{'WRONG' if report.faults else 'ok':<5} {report.name}: {', '.join(report.facts)}"
@@ -212,20 +177,10 @@ def _lines(report: AssetSummary) -> Iterable[str]:
         yield f"WRONG {report.name}: {fault}"
 
 
-def _bar(bars: Progress, name: str) -> Callable[[int, int | None], None]:
-    """Add a bar; returns a function that sets it, given the bytes so far and in all."""
-    bar = bars.add_task(name, total=None)
-    return lambda here, total: bars.update(bar, completed=here, total=total)
-
-
-def _progress() -> Progress:
-    """Bars on standard error."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        DownloadColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
+def _telling(tell: Tell, name: str) -> Callable[[int, int | None], None]:
+    """Return a function that reports a download, given the bytes so far and in all."""
+    return lambda here, total: tell(
+        f"{name}: {here >> 20} MiB" + (f" of {total >> 20}" if total is not None else "")
     )
 
 
@@ -273,7 +228,8 @@ def check_object(
     if mass is not None:
         run_spec({"gripper": "", "object": "", "mass": mass}, "object check")
     metres, path, writing = options.scale_of_units(units), _found(file), None
-    drawing = picture_folder(picture, "--picture", [path.name])
+    if picture is not None:
+        picture_file(picture, path.name).check()
     if repaired is not None:
         writing = OutFile(repaired, "name another path with --repaired", suffixes=WRITABLE_FORMATS)
         writing.check()
@@ -292,7 +248,7 @@ def check_object(
             tell=tell,
         )
     print_findings(found, as_json=as_json)
-    for line in _made(found, draft, path, drawing, writing):
+    for line in _made(found, draft, path, picture, writing):
         echo(line, err=as_json)
     refuse_faulty("object", found)
     if repaired is not None:

@@ -127,7 +127,7 @@ def new(
     target = out or Path(urdf.with_suffix(".toml").name)
     file = OutFile(target, suffixes=(".toml",), force=force, inputs=(urdf,))
     file.check()
-    asset_commands.picture_file(target.parent, target.name).check()
+    asset_commands.picture_file(target.parent, target.name, "--out").check()
     with ExitStack() as until_written:
         robot, given = _usable_robot(_single_tree(urdf), given, file, until_written, repair=repair)
         made = draft_gripper(robot, _reference(robot.path, target), given)
@@ -161,14 +161,15 @@ def check(
 
     Example: qdgrasp gripper check my_hand.toml --picture pictures
     """
-    drawing = asset_commands.picture_folder(picture, "--picture", [name])
+    if picture is not None:
+        asset_commands.picture_file(picture, name).check()
     if name.lower().endswith((".urdf", ".xacro", ".xml", ".sdf")):  # of a URDF alone, as it is guessed
         found, hand = examine_urdf(Path(name).expanduser(), name)
     else:
         found, hand = examine_gripper(name), None
     asset_commands.print_findings(found, as_json=as_json)
-    if drawing is not None and (hand is not None or found.extents is not None):
-        drawn = asset_commands.draw_asset(hand or find_gripper(name), name, drawing)
+    if picture is not None and (hand is not None or found.extents is not None):
+        drawn = asset_commands.draw_asset(hand or find_gripper(name), name, picture)
         echo(f"drawn: {drawn}", err=as_json)
     asset_commands.refuse_faulty("gripper", found)
 

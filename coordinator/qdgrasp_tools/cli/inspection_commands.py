@@ -26,11 +26,9 @@ from qdgrasp_protocol.errors import EXTRAS, ImpossibleValue, InputError, check_p
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import printable
 from qdgrasp_tools.campaign.summaries import (
-    SORT_KEYS,
     campaign_objects,
     campaign_summary,
     run_summary,
-    select_objects,
     table_lines,
 )
 from qdgrasp_tools.cli import options
@@ -46,14 +44,6 @@ def info(
     objects: Annotated[
         bool, typer.Option("--objects", help="Of a campaign: print a table of its objects.")
     ] = False,
-    search: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="With --objects: those with these words in name, state or note."),
-    ] = None,
-    sort: Annotated[
-        str | None,
-        typer.Option(metavar="KEY", help=f"With --objects: by {', '.join(SORT_KEYS)}; -KEY: greatest first."),
-    ] = None,
     as_json: options.Json = False,
 ) -> None:
     """Say what a run is and what it has found, also while it goes on.
@@ -63,18 +53,13 @@ def info(
 
     Example: qdgrasp info runs/demo --json
 
-    Example: qdgrasp info runs/parts --objects --sort grasps --search mug
+    Example: qdgrasp info runs/parts --objects
     """
     is_campaign = JobFolder.is_job(directory) and (directory / CAMPAIGN).is_file()
-    if (objects or search or sort) and not is_campaign:
-        raise InputError(f"{directory} holds no campaign, whose objects --objects, --search and --sort list.")
-    if objects or search or sort:
-        shown = select_objects(
-            campaign_objects(JobFolder.open(directory)),
-            search or "",
-            (sort or "").removeprefix("-"),
-            down=(sort or "").startswith("-"),
-        )
+    if objects and not is_campaign:
+        raise InputError(f"{directory} holds no campaign, whose objects --objects lists.")
+    if objects:
+        shown = campaign_objects(JobFolder.open(directory))
         lines = "\n".join(printable(line) for line in table_lines(shown))
         echo(json.dumps(msgspec.to_builtins(shown)) if as_json else lines)
         return

@@ -208,13 +208,6 @@ def rerank(
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
     ] = 100,
     trials: Annotated[int, typer.Option(min=1, max=TRIALS, help="How many trials each has.")] = TRIALS,
-    by_niche: Annotated[
-        bool | None,
-        typer.Option(
-            "--niches/--cells",
-            help="Take the best of each niche, cell, orientation and synergy, or cell; default: as searched.",
-        ),
-    ] = None,
     max_penetration: options.MaxPenetration = None,
     max_motion: options.MaxMotion = None,
     min_margin: options.MinMargin = None,
@@ -228,9 +221,9 @@ def rerank(
 ) -> None:
     """Score the best grasps of a run again, in many disturbed trials each, and rank them by eta.
 
-    Taken is the best grasp of each cell or niche, and of these the --top best. The folder is that of a run:
-    `qdgrasp resume` continues it, and workers may join; it can be scored again, few of its best with more
-    trials. ranking.csv in it holds every grasp by eta.
+    Taken is the best grasp of each cell, or of each kind that the run told apart, and of these the --top
+    best. The folder is that of a run: `qdgrasp resume` continues it, and workers may join; it can be scored
+    again, few of its best with more trials. ranking.csv in it holds every grasp by eta.
 
     With two engines a trial is passed that holds in both.
 
@@ -248,7 +241,7 @@ def rerank(
     base, engine, ways = keys.pop("base", None), keys.pop("engine", None), keys
     if ways:
         found = source_runs.reachable_grasps(source, found, **ways)
-    kinds = source_runs.kinds_of_run(source.spec, found, genome_reader(source), by_niche)
+    kinds = source_runs.kinds_of_run(source.spec, found, genome_reader(source))
     chosen = source_runs.best_of_kinds(found, top, source.scene().object, kinds)
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, trials=trials, **ways)
     count = options.worker_count(workers, spec.engine)

@@ -88,7 +88,7 @@ NARROW = totals(successes=2000, grasps=1000, cells=4)
         (DROPPED, "no grasp: it was dropped in 3800 of 3800 successes"),
         (ERRORS, "no grasp: the simulator failed on 4000 of 4000 rows"),
         (NARROW, "few cells: 2000 successes in 4 cells"),
-        (NO_TOTALS, f"no grasp: no row is recorded; ended early, after 0 of {BUDGET} evaluations"),
+        (NO_TOTALS, "no grasp: no row is recorded"),
         (GOOD, ""),
     ],
 )
@@ -105,7 +105,7 @@ def test_an_object_is_judged_by_its_finished_runs_alone() -> None:
 
 
 def test_an_object_whose_shape_is_built_is_building_until_a_run_begins() -> None:
-    before = list_objects([waiting("a"), run("b", is_done=False)], [SkippedObject("a2", "a2", "torn", "")])
+    before = list_objects([waiting("a"), run("b", is_done=False)], [SkippedObject("a2", "a2", "torn")])
     states = [each.state for each in with_events(before, [], ["a", "b", "a2"])]
     assert states == ["building", "running", "skipped"]
 
@@ -117,7 +117,7 @@ OBJECTS = [
             run("x", totals=OVERLAPPING, spec={"about": ObjectRecord(id="x", category="Mug")}),
             waiting("later", hand="allegro"),
         ],
-        [SkippedObject("torn", "torn.stl", "it is not closed", "--remesh")],
+        [SkippedObject("torn", "torn.stl", "it is not closed; --remesh")],
     )
 ]
 

@@ -81,22 +81,16 @@ def test_the_best_of_each_cell_are_taken_whatever_the_order_of_rows(seed: int, m
 
 
 @pytest.mark.parametrize(
-    ("diversity", "by_niche", "chosen"),
-    [
-        (None, None, [0]),
-        ("position", True, [0, 1, 2]),
-        ("orientation", None, [0, 1]),
-        ("posture", None, [0, 1, 2]),
-        ("posture", False, [0]),
-    ],
+    ("diversity", "chosen"),
+    [(None, [0]), ("position", [0]), ("orientation", [0, 1]), ("posture", [0, 1, 2])],
 )
-def test_grasps_are_told_apart_as_the_search_did_or_as_is_asked(diversity, by_niche, chosen) -> None:
+def test_grasps_are_told_apart_as_the_search_did(diversity, chosen) -> None:
     found = rows(*[Outcome.HELD] * 3)
     found["descriptor"], found["base_to_object"][:, 3:] = 0, MIDDLES[[0, 1, 0]]
     reader = GenomeReader(Layout("given", (Gene("synergy", 0.0, 3.0),)))
     found["genome"][:, 0] = [0.0, 0.0, 2.0]
     asked = RunSpec(gripper="hand", object="thing", diversity=diversity)
-    kinds = kinds_of_run(asked, found, reader, by_niche)
+    kinds = kinds_of_run(asked, found, reader)
     assert best_of_kinds(found, 4, BODY, kinds)["index"].tolist() == chosen
 
 

@@ -113,13 +113,8 @@ def objects_of(result: Result) -> list[str]:
     return [line.split()[0] for line in result.stdout.splitlines()[1:]]
 
 
-def test_the_table_of_objects_is_searched_and_sorted(campaign: Path) -> None:
+def test_the_table_of_objects_has_a_line_for_each(campaign: Path) -> None:
     assert len(objects_of(info(campaign, "--objects"))) == 13
-    assert objects_of(info(campaign, "--objects", "--sort", "-grasps"))[0] == "part_00001"
-    assert objects_of(info(campaign, "--objects", "--search", "no grasp dropped")) == ["part_00004"]
-    assert objects_of(info(campaign, "--objects", "--search", "skipped", "--sort", "object")) == [
-        "cracked", "split", "torn",
-    ]  # fmt: skip
-    assert "Unknown key to sort by 'grabs'" in str(info(campaign, "--sort", "grabs").exception)
-    (one,) = json.loads(info(campaign, "--objects", "--search", "part_00007", "--json").stdout)
+    found = {each["object"]: each for each in json.loads(info(campaign, "--objects", "--json").stdout)}
+    one = found["part_00007"]
     assert (one["state"], one["runs_done"], one["evaluations"]) == ("running", 1, 75)

@@ -72,7 +72,7 @@ def written(command: str, out: str = "out") -> Path:
 
 
 def flag(command: str) -> str:
-    return next((name for name in ("--repaired", "--pictures", "--picture") if name in command), "--out")
+    return next((name for name in ("--repaired", "--picture") if name in command), "--out")
 
 
 def each(*tables: dict[str, str]) -> pytest.MarkDecorator:
@@ -139,7 +139,6 @@ def test_a_file_takes_the_place_of_no_folder_link_or_pipe(command: str) -> None:
 @pytest.mark.parametrize(
     ("command", "name"),
     [
-        ("asset check mug --pictures out", "mug"),
         ("gripper check jaw.urdf --picture out", "jaw"),
         ("object check part.stl --picture out", "part"),
     ],
