@@ -14,14 +14,19 @@ from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
 from qdgrasp_coordinator.scheduler.coordinator_service import MOST_WAIT
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler, JoinRequest
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue, WantedShape, WantedShapes
+from qdgrasp_coordinator.scheduler.run_plan import (
+    BuildReply,
+    JobExtent,
+    RunPlan,
+    RunQueue,
+    WantedShape,
+    WantedShapes,
+)
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
     LoadEnded,
     LoaderEvent,
-    LoadRequest,
     RunRegistry,
-    ShapesFound,
 )
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import MeshFile, ShapeTask
@@ -81,19 +86,19 @@ class SimulatedLoader(RunQueue):
     def ready_runs(self) -> int:
         return len(self._built.intersection(self._left))
 
-    def begin(self, request: LoadRequest) -> None:
-        for reply in request.built:
+    def begin(self, epoch: int, *, opens: bool, shapes: int, built: tuple[BuildReply, ...]) -> None:
+        for reply in built:
             self._host.note(f"the shape of {self._asked[reply.key]}: {len(reply.pieces)} pieces")
             self._built.add(self._asked.pop(reply.key))
-        if request.shapes:
-            self._look_for_shapes(request.shapes)
+        if shapes:
+            self._look_for_shapes(shapes)
         ready = next((run for run in self._left if run in self._built), None)
-        if not request.opens:
+        if not opens:
             self._say(LoadEnded())
         elif ready is not None:
             self._left.remove(ready)
-            self._try_to_open(ready, request.epoch)
-        elif self._left and not request.epoch:
+            self._try_to_open(ready, epoch)
+        elif self._left and not epoch:
             self._try_to_begin()
         else:
             self._say(LoadEnded(runs_wait=True) if self._left else LoadEnded(is_last=True))
@@ -105,7 +110,7 @@ class SimulatedLoader(RunQueue):
         missing = [run for run in self._left if run not in {*self._built, *self._asked.values()}]
         wanted = tuple(WantedShape(shape_task(run), Path(run)) for run in missing[:most])
         self._asked |= {shape.task.key: run for shape, run in zip(wanted, missing, strict=False)}
-        self._say(ShapesFound(WantedShapes(wanted, is_last=len(missing) <= most), ()))
+        self._say(WantedShapes(wanted, is_last=len(missing) <= most))
 
     def _try_to_begin(self) -> None:
         host, later = self._host, self._host.world.later

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.recorder.recorder import LockedJobFolder, Recorder
 from qdgrasp_coordinator.recorder.run_writer import RunWriter
 from qdgrasp_coordinator.scheduler import batch_dispatcher as dispatching
 from qdgrasp_coordinator.scheduler import worker_registry
-from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher, LeaseTable, Settlement
+from qdgrasp_coordinator.scheduler.batch_dispatcher import Dispatcher, Settlement
 from qdgrasp_coordinator.scheduler.batch_queue import Batch, BatchQueue
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
 from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
@@ -82,7 +82,7 @@ def _keep_held(on_answer: Real, session: JobSession, *answer: Any) -> bool:
     return is_current
 
 
-def _keep_settled(close: Real, batches: LeaseTable, state: Any) -> None:
+def _keep_settled(close: Real, batches: Dispatcher, state: Any) -> None:
     close(batches, state)
     vars(batches).setdefault("kept", {})[state.id] = state
 
@@ -95,11 +95,11 @@ def _settle_again(classify: Real, batches: Any, wid: str, result: Any) -> Settle
     return Settlement.FRESH
 
 
-def _close_and_keep(batches: LeaseTable, state: Any) -> None:
+def _close_and_keep(batches: Dispatcher, state: Any) -> None:
     batches._settled[state.id] = batches._open.pop(state.id).leased
 
 
-def _accept_any_worker(classify: Real, batches: LeaseTable, wid: str, result: Any) -> Settlement:
+def _accept_any_worker(classify: Real, batches: Dispatcher, wid: str, result: Any) -> Settlement:
     state = batches._open.get(result.batch)
     if state is not None and result.n == len(state):
         state.leased.add(wid)
@@ -113,7 +113,7 @@ def _forget_requeued(requeue: Real, dispatcher: Dispatcher, wid: str, batch_ids:
 
 def _requeue_held(requeue: Real, dispatcher: Dispatcher, wid: str, batch_ids: Any) -> int:
     ids = list(batch_ids)
-    held = [state for one in ids if (state := dispatcher._table.find(one)) and len(state.holders) > 1]
+    held = [state for one in ids if (state := dispatcher._open.get(one)) and len(state.holders) > 1]
     count: int = requeue(dispatcher, wid, ids)
     for state in held:
         dispatcher._requeue(state)
@@ -207,11 +207,11 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
     },
     ("5", "settled once", wild): {
         "settle twice": [
-            around(LeaseTable, "close", _keep_settled),
-            around(LeaseTable, "classify", _settle_again),
+            around(Dispatcher, "_close", _keep_settled),
+            around(Dispatcher, "_classify", _settle_again),
         ],
         "take a result from a worker that was not leased it": [
-            around(LeaseTable, "classify", _accept_any_worker)
+            around(Dispatcher, "_classify", _accept_any_worker)
         ],
     },
     ("8", "acknowledged when durable", wild): {
@@ -274,7 +274,7 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
         ],
     },
     ("5", "bounded memory", wild): {
-        "remember every batch": [patch.object(LeaseTable, "close", _close_and_keep)]
+        "remember every batch": [patch.object(Dispatcher, "_close", _close_and_keep)]
     },
     ("6", "progress", wild): {"poison is tried for ever": [patch.object(dispatching, "STRIKES", 10**9)]},
     ("7", "bounded memory", wild): {

@@ -359,7 +359,7 @@ class DispatchChecker:
             places += _keys(batch.run.run, batch.rows)
         held: dict[str, set[bytes]] = {wid: set() for wid in workers}
         builds = [build.task.key for build in self._dispatch._builds]
-        for task in self._dispatch._table._open.values():
+        for task in self._dispatch._open.values():
             if not task.holders:
                 continue
             require(len(task.holders) <= 2, "bounded work", "a batch has", len(task.holders), "holders")
@@ -384,7 +384,7 @@ class DispatchChecker:
         """Check credit, and how much is remembered."""
         for worker in self._workers:
             require(len(worker.scenes) <= SCENES_KEPT, "bounded memory", "scenes")
-        batches, timeout = self._dispatch._table, self._workers.lease_timeout
+        batches, timeout = self._dispatch, self._workers.lease_timeout
         most = len(self.outstanding) + len(self.builds)
         require(len(batches._open) <= most, "bounded memory", "open batches")
         require(len(batches._settled) <= batch_dispatcher.MOST_SETTLED, "bounded memory", "settled batches")

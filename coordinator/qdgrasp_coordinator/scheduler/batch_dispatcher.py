@@ -95,74 +95,6 @@ class SettleReply:
     """Other holders of the batch, which are to drop it; their credit is free already."""
 
 
-class LeaseTable:
-    """Leased batches and builds that are not settled, and the latest settled ones."""
-
-    def __init__(self, epoch: int) -> None:
-        self._epoch = epoch
-        self._open: OrderedDict[bytes, Batch | ShapeBuild] = OrderedDict()
-        """By id; the latest leases are at the end."""
-        self._settled: OrderedDict[bytes, set[str]] = OrderedDict()
-        """By id: the workers that were leased it."""
-
-    def hand_over(self, task: Batch | ShapeBuild, wid: str, now: float) -> None:
-        """Record that a worker holds a batch from now on."""
-        task.holders[wid] = now
-        self._open[task.id] = task
-        self._open.move_to_end(task.id)
-
-    def late(self, before: float) -> list[Batch]:
-        """Return batches that one worker has held since before a time, those held for longest first.
-
-        Rows on which others failed are not among them: they may end any worker's process.
-        """
-        found = []
-        for task in self._open.values():
-            if isinstance(task, ShapeBuild) or not task.holders:
-                continue
-            if max(task.holders.values()) > before:
-                break
-            if len(task.holders) == 1 and not task.tried_by:
-                found.append(task)
-        return found
-
-    @property
-    def leased(self) -> int:
-        """Number of batches and builds that workers hold."""
-        return sum(bool(task.holders) for task in self._open.values())
-
-    def find(self, task_id: bytes) -> Batch | ShapeBuild | None:
-        """Return what was leased by its id; None: never leased, or settled."""
-        return self._open.get(task_id)
-
-    def batches_of(self, run: str) -> list[Batch]:
-        """Return a run's leased, unsettled batches."""
-        return [task for task in self._open.values() if isinstance(task, Batch) and task.run.run == run]
-
-    @property
-    def builds(self) -> list[ShapeBuild]:
-        """Leased, unsettled builds."""
-        return [task for task in self._open.values() if isinstance(task, ShapeBuild)]
-
-    def close(self, task: Task) -> None:
-        """Move a batch to the settled ones, without its rows."""
-        del self._open[task.id]
-        self._settled[task.id] = task.leased
-        if len(self._settled) > MOST_SETTLED:
-            self._settled.popitem(last=False)
-
-    def classify(self, wid: str, result: Result | Built) -> Settlement:
-        """Return the kind of a result on a worker's key; MessageError if it does not fit its batch."""
-        task = self._open.get(result.batch)
-        leased = task.leased if task else self._settled.get(result.batch)
-        if result.epoch != self._epoch or (leased is not None and wid not in leased):
-            return Settlement.FOREIGN
-        if task is not None:
-            _check_result(task, result)
-            return Settlement.FRESH
-        return Settlement.LATE
-
-
 class Dispatcher:
     """Leases the rows of all runs of a job, and builds of shapes, to its workers.
 
@@ -177,7 +109,11 @@ class Dispatcher:
         """Results by kind; batches leased, queued again, leased to a second worker; rows failed, given up."""
         self._workers = workers
         self._queue = BatchQueue(batch_size)
-        self._table = LeaseTable(epoch)
+        self._epoch = epoch
+        self._open: OrderedDict[bytes, Batch | ShapeBuild] = OrderedDict()
+        """What was leased and is not settled, by id; the latest leases are at the end."""
+        self._settled: OrderedDict[bytes, set[str]] = OrderedDict()
+        """The latest that was settled, by id: the workers that were leased it."""
         self._builds: deque[ShapeBuild] = deque()  # That wait for a worker
         self._prefix = secrets.token_bytes(8)
         self._begun_builds = 0
@@ -189,7 +125,8 @@ class Dispatcher:
     def withdraw(self, run: str) -> dict[str, list[bytes]]:
         """Forget all rows of a run; gives the batches that workers may drop, by worker."""
         self._queue.withdraw(run)
-        return self._withdraw(self._table.batches_of(run))
+        open_ = self._open.values()
+        return self._withdraw([task for task in open_ if isinstance(task, Batch) and task.run.run == run])
 
     def _withdraw(self, tasks: Iterable[Task]) -> dict[str, list[bytes]]:
         drops: dict[str, list[bytes]] = {}
@@ -197,8 +134,15 @@ class Dispatcher:
             for holder in task.holders:
                 drops.setdefault(holder, []).append(task.id)
                 self._workers.release(holder, task.id)
-            self._table.close(task)
+            self._close(task)
         return drops
+
+    def _close(self, task: Task) -> None:
+        """Move a batch or build to the settled ones, without its rows."""
+        del self._open[task.id]
+        self._settled[task.id] = task.leased
+        if len(self._settled) > MOST_SETTLED:
+            self._settled.popitem(last=False)
 
     @property
     def queued_seconds(self) -> float:
@@ -207,7 +151,8 @@ class Dispatcher:
 
     def wanted_workers(self, *, is_leasing: bool) -> int:
         """Return how many workers leased batches, and rows and builds to be leased, could keep busy."""
-        return self._table.leased + (self._queue.batches + len(self._builds) if is_leasing else 0)
+        leased = sum(bool(task.holders) for task in self._open.values())
+        return leased + (self._queue.batches + len(self._builds) if is_leasing else 0)
 
     @property
     def strays(self) -> int:
@@ -258,7 +203,7 @@ class Dispatcher:
 
     def _double_leases(self, now: float) -> Iterator[Lease]:
         """Lease to idle workers batches that others have held for long; these keep them too."""
-        late = self._table.late(now - self._workers.lease_timeout.straggling)
+        late = self._late(now - self._workers.lease_timeout.straggling)
         for worker in self._workers.idle(now) if late else ():
             if worker.batches or not late:
                 return
@@ -267,6 +212,21 @@ class Dispatcher:
                 late.remove(batch)
                 self.counters["doubled"] += 1
                 yield self._lease(batch, worker, now)
+
+    def _late(self, before: float) -> list[Batch]:
+        """Return batches that one worker has held since before a time, those held for longest first.
+
+        Rows on which others failed are not among them: they may end any worker's process.
+        """
+        found = []
+        for task in self._open.values():
+            if isinstance(task, ShapeBuild) or not task.holders:
+                continue
+            if max(task.holders.values()) > before:
+                break
+            if len(task.holders) == 1 and not task.tried_by:
+                found.append(task)
+        return found
 
     def _may_double(self, worker: Worker, batch: Batch) -> bool:
         return worker.wid not in batch.leased and not (batch.run.needs_device and not worker.join.rows)
@@ -279,7 +239,10 @@ class Dispatcher:
         return Lease(worker.wid, worker.join.number, task.attempts, task)
 
     def _hand_over(self, task: Batch | ShapeBuild, worker: Worker, now: float) -> None:
-        self._table.hand_over(task, worker.wid, now)
+        """Record that a worker holds a batch or build from now on."""
+        task.holders[worker.wid] = now
+        self._open[task.id] = task
+        self._open.move_to_end(task.id)
         scene = task.run.scene if isinstance(task, Batch) else None
         self._workers.hold(worker, task.id, scene, now)
 
@@ -306,13 +269,13 @@ class Dispatcher:
 
     def _own(self, wid: str, task_id: bytes) -> Batch | ShapeBuild | None:
         """Return a batch that a worker may go on with, held by it or waiting; else None."""
-        task = self._table.find(task_id)
+        task = self._open.get(task_id)
         is_own = task is not None and wid in task.leased and not task.holders.keys() - {wid}
         return task if is_own else None
 
     def requeue(self, wid: str, task_ids: Iterable[bytes]) -> int:
         """Queue unsettled batches that a worker has lost and no other holds; returns their number."""
-        held = [task for task_id in task_ids if (task := self._table.find(task_id))]
+        held = [task for task_id in task_ids if (task := self._open.get(task_id))]
         for task in held:
             task.holders.pop(wid, None)
         lost = [task for task in held if not task.holders]
@@ -343,7 +306,7 @@ class Dispatcher:
         columns of the result. Raises MessageError if its run or number of rows is not its batch's, or it
         names a failed row that the batch has not.
         """
-        batch = self._close(wid, result, now)
+        batch = self._take(wid, result, now)
         if not isinstance(batch, Batch):
             return None
         self._queue.measure(batch, result.cpu_seconds)
@@ -366,17 +329,28 @@ class Dispatcher:
         failures = tuple(Failure(row=place, reason=reason) for place, reason in failed.items())
         return SettleReply(rows, result.cpu_seconds, failures)
 
-    def _close(self, wid: str, result: Result | Built, now: float) -> Batch | ShapeBuild | None:
+    def _take(self, wid: str, result: Result | Built, now: float) -> Batch | ShapeBuild | None:
         """Settle a batch or build by its first result; gives it if this is that one."""
-        kind = self._table.classify(wid, result)
+        kind = self._classify(wid, result)
         self.counters[kind.value] += 1
         if kind is not Settlement.FOREIGN:
             self._workers.answered(wid, result.batch, now)
-        task = self._table.find(result.batch) if kind is Settlement.FRESH else None
+        task = self._open.get(result.batch) if kind is Settlement.FRESH else None
         if task is not None:
             self._remove(task)
-            self._table.close(task)
+            self._close(task)
         return task
+
+    def _classify(self, wid: str, result: Result | Built) -> Settlement:
+        """Return the kind of a result on a worker's key; MessageError if it does not fit its batch."""
+        task = self._open.get(result.batch)
+        leased = task.leased if task else self._settled.get(result.batch)
+        if result.epoch != self._epoch or (leased is not None and wid not in leased):
+            return Settlement.FOREIGN
+        if task is not None:
+            _check_result(task, result)
+            return Settlement.FRESH
+        return Settlement.LATE
 
     def _release_others(self, task: Task, winner: str) -> tuple[str, ...]:
         """Free the credit of other holders of a settled batch; returns these."""
@@ -400,12 +374,12 @@ class Dispatcher:
 
         A build that failed is tried again until it was leased too often. Raises MessageError as `settle`.
         """
-        build = self._table.find(built.batch)
+        build = self._open.get(built.batch)
         is_late = build is not None and wid in build.leased and build.holders.keys() - {wid}
         if is_late and built.reason and not built.is_final:  # another worker is at work on it
             self._workers.answered(wid, built.batch, now)
             return None
-        build = self._close(wid, built, now)
+        build = self._take(wid, built, now)
         if not isinstance(build, ShapeBuild):
             return None
         superseded = self._release_others(build, wid)
@@ -423,15 +397,15 @@ class Dispatcher:
         for build in self._builds:
             if build.attempts >= STRIKES or (codes and build.task.code not in codes):
                 self._builds.remove(build)
-                if self._table.find(build.id) is not None:
-                    self._table.close(build)
+                if build.id in self._open:
+                    self._close(build)
                 return build.task
         return None
 
     def withdraw_builds(self) -> dict[str, list[bytes]]:
         """Forget all builds; gives those that workers may drop, by worker."""
         self._builds.clear()
-        return self._withdraw(self._table.builds)
+        return self._withdraw([task for task in self._open.values() if isinstance(task, ShapeBuild)])
 
 
 def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:

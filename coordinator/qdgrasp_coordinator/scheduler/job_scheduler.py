@@ -7,7 +7,7 @@ and outboxes decide for themselves; this module passes events to them, and their
 
 import os
 import socket
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from math import inf
@@ -18,13 +18,12 @@ from msgspec import structs
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
 from qdgrasp_coordinator.metrics.time_left import TimeLeft
 from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher, read_result
-from qdgrasp_coordinator.scheduler.run_plan import BuildReply, ShapeWarning, WantedShapes
+from qdgrasp_coordinator.scheduler.run_plan import BuildReply, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
     LoadEnded,
     LoaderEvent,
     RunRegistry,
-    ShapesFound,
 )
 from qdgrasp_coordinator.scheduler.worker_registry import WID_DIGITS, LostWorker, Worker, WorkerRegistry
 from qdgrasp_coordinator.storage.platforms import LacksEngine, admit_platform, lacks_engine
@@ -139,8 +138,8 @@ class JobScheduler:
                 self.workers.on_link(up, now)
             case LoadEnded():
                 self._on_load_ended(event)
-            case ShapesFound(wanted, warnings):
-                self._on_shapes_found(wanted, warnings)
+            case WantedShapes():
+                self._on_wanted_shapes(event)
 
     def _on_message(self, sample: Sample, now: float) -> None:
         """Process a message; its kind follows from its key, as in access lists."""
@@ -197,10 +196,10 @@ class JobScheduler:
             self._drop(other, [built.batch])
         self.runs.shapes.end(reply)
 
-    def _on_shapes_found(self, wanted: WantedShapes, warnings: Iterable[ShapeWarning]) -> None:
+    def _on_wanted_shapes(self, wanted: WantedShapes) -> None:
         self.runs.shapes.add(wanted)
         self.dispatcher.build(shape.task for shape in wanted.shapes)
-        for warning in warnings:
+        for warning in wanted.warnings:
             log.warning("a shape", object=warning.object, words=warning.words)
             self.events.note("warning", warning.words, object_=warning.object)
 

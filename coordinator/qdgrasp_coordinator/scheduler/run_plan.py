@@ -175,6 +175,14 @@ class BuildReply:
     """Other holders of the build, which are to drop it."""
 
 
+class ShapeWarning(NamedTuple):
+    """A fault of a shape that is used all the same, or was left aside."""
+
+    object: str
+    """Its name in specs."""
+    words: str
+
+
 @dataclass(frozen=True)
 class WantedShapes:
     """Shapes that are to be built before runs can be made."""
@@ -182,14 +190,8 @@ class WantedShapes:
     shapes: tuple[WantedShape, ...]
     is_last: bool
     """No run is left that was not looked at."""
-
-
-class ShapeWarning(NamedTuple):
-    """A fault of a shape that is used all the same, or was left aside."""
-
-    object: str
-    """Its name in specs."""
-    words: str
+    warnings: tuple[ShapeWarning, ...] = ()
+    """About shapes that were built."""
 
 
 class ShapesMissing(Exception):  # a state of the queue, not an error

@@ -8,7 +8,7 @@ the scheduler's inbox. Shapes that runs wait for are built by workers, some ahea
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -24,7 +24,6 @@ from qdgrasp_coordinator.scheduler.run_plan import (
     RunPlan,
     RunQueue,
     ShapesMissing,
-    ShapeWarning,
     WantedShape,
     WantedShapes,
 )
@@ -112,29 +111,7 @@ class LoadEnded:
     """All runs that are left wait for shapes."""
 
 
-@dataclass(frozen=True)
-class ShapesFound:
-    """Shapes that are to be built, and warnings about those that were."""
-
-    wanted: WantedShapes
-    warnings: tuple[ShapeWarning, ...]
-
-
-LoaderEvent = LoadEnded | ShapesFound
-
-
-@dataclass(frozen=True)
-class LoadRequest:
-    """A request to the loader."""
-
-    epoch: int
-    """The coordinator's; 0 before it has one."""
-    opens: bool = True
-    """True: open the next run."""
-    shapes: int = 0
-    """Most shapes that are to be looked for."""
-    built: tuple[BuildReply, ...] = ()
-    """Builds that have ended."""
+LoaderEvent = LoadEnded | WantedShapes
 
 
 class RunLoader:
@@ -163,10 +140,14 @@ class RunLoader:
         """The run that is being opened, or was opened last; None before it is made."""
         self.trouble = ""  # Reason why no run can be opened now; empty when one can
 
-    def begin(self, request: LoadRequest) -> None:
-        """Start to take shapes, to look for more, and to open the next run, in this order."""
+    def begin(self, epoch: int, *, opens: bool, shapes: int, built: tuple[BuildReply, ...]) -> None:
+        """Start to take built shapes, to look for more, and to open the next run, in this order.
+
+        `epoch` is the coordinator's, 0 before it has one; at most `shapes` are looked for.
+        """
         self.run, self.trouble = None, ""
-        self._thread = threading.Thread(target=self._load, args=(request,), name="loader", daemon=True)
+        request = (epoch, opens, shapes, built)
+        self._thread = threading.Thread(target=self._load, args=request, name="loader", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
@@ -175,12 +156,12 @@ class RunLoader:
         if self._thread is not None:
             self._thread.join(JOIN_TIMEOUT)
 
-    def _load(self, request: LoadRequest) -> None:
+    def _load(self, epoch: int, opens: bool, shapes: int, built: tuple[BuildReply, ...]) -> None:
         try:
-            warnings = tuple(filter(None, map(self._queue.take_shape, request.built)))
-            if request.shapes or warnings:
-                self._put(ShapesFound(self._queue.wanted_shapes(request.shapes), warnings))
-            self._put(self._open_next(request.epoch) if request.opens else LoadEnded())
+            warnings = tuple(filter(None, map(self._queue.take_shape, built)))
+            if shapes or warnings:
+                self._put(replace(self._queue.wanted_shapes(shapes), warnings=warnings))
+            self._put(self._open_next(epoch) if opens else LoadEnded())
         except _Closed:
             return
         except Exception as error:  # noqa: BLE001  # any error is raised again where the job is run
@@ -355,7 +336,7 @@ class RunRegistry:
         shapes = self.shapes.room(max(1, workers) - self._queue.ready_runs) if epoch else 0
         if opens or shapes or built:
             self.is_loading, self._was_put_back = True, False
-            self._loader.begin(LoadRequest(epoch, opens=opens, shapes=shapes, built=built))
+            self._loader.begin(epoch, opens=opens, shapes=shapes, built=built)
 
     def load_ended(self, event: LoadEnded) -> None:
         """Note that the loader rests, and why it has opened no run."""
