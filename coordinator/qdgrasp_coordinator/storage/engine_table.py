@@ -3,7 +3,6 @@
 `qdgrasp verify --engine NAME` writes `engine-NAME.csv` into the run's folder.
 """
 
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -87,28 +86,18 @@ def write_table(
 
 
 def read_table(path: Path) -> EngineTable:
-    """Read a table; raises InputError for another file.
-
-    While its file does not change it is the same one.
-    """
+    """Read a table; raises InputError for another file."""
     try:
-        there = path.stat()
-        return _read(path, there.st_mtime_ns, there.st_size)
-    except (OSError, ValueError, KeyError, OverflowError, InputError) as error:
+        lines = [
+            line | {name: Outcome[line[name].upper()] for name in OUTCOMES}
+            for line in read_csv(path, COLUMNS)
+        ]
+        table = np.array([tuple(int(line[name]) for name in COLUMNS) for line in lines], TABLE)
+    except (ValueError, KeyError, OverflowError, InputError) as error:
         raise InputError(
             f"{path} is no table that `qdgrasp verify --engine` wrote ({error}); remove it and write it anew."
         ) from None
-
-
-@lru_cache(16)
-def _read(path: Path, _mtime: int, _size: int) -> EngineTable:
-    lines = [
-        line | {name: Outcome[line[name].upper()] for name in OUTCOMES} for line in read_csv(path, COLUMNS)
-    ]
-    table = np.array([tuple(int(line[name]) for name in COLUMNS) for line in lines], TABLE)
-    table = table[np.argsort(table["row"])]
-    table.flags.writeable = False
-    return table
+    return table[np.argsort(table["row"])]
 
 
 def other_tables(folder: RunFolder) -> dict[str, EngineTable]:

@@ -102,9 +102,5 @@ class FinishedRuns:
             engine=spec.engine,
             listing=listing,
         )
-        with suppress(OSError):
-            handle = os.open(self._file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
-            try:
-                os.write(handle, b"\n" + msgspec.json.encode(line) + b"\n")  # it ends a line that was cut off
-            finally:
-                os.close(handle)
+        with suppress(OSError), self._file.open("ab", buffering=0) as file:
+            file.write(b"\n" + msgspec.json.encode(line) + b"\n")  # it ends a line that was cut off

@@ -12,7 +12,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from itertools import takewhile
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -86,20 +85,6 @@ def create_folder(path: Path, files: Mapping[str, bytes], folders: Iterable[str]
         for name in folders:
             (made / name).mkdir()
         sync(made)
-
-
-@contextmanager
-def making_parents(path: Path) -> Iterator[None]:
-    """Make a folder and its parents; where the with-block fails, remove the empty new ones."""
-    missing = [*takewhile(lambda each: not each.exists(), (path, *path.parents))]
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        yield
-    except BaseException:
-        for each in missing:
-            with suppress(OSError):  # one that holds something stays, and those above it
-                each.rmdir()
-        raise
 
 
 def _put_in_place(made: Path, path: Path, old: Path | None = None) -> None:
@@ -184,19 +169,17 @@ class Output(ABC):
     def writing(self) -> Iterator[Path]:
         """Give a with-block a path to write to; what it wrote becomes the output at once.
 
-        Where the block fails nothing is left of it, and what was there before is as it was. Raises `DiskFull`
-        or `OutputError` where it cannot be written.
+        Where the block fails nothing is left of it but parent folders, and what was there before is as it
+        was. Raises `DiskFull` or `OutputError` where it cannot be written.
         """
         self.check()
         home = self.path.absolute().parent
-        with (
-            writing(self.path, self.instead),
-            making_parents(home),
-            TemporaryDirectory(dir=home, prefix=".", suffix=".part", ignore_cleanup_errors=True) as part,
-        ):
-            made = Path(part) / self.path.name
-            yield made
-            _put_in_place(made, self.path, Path(part) / f"{made.name}.old" if self.force else None)
+        with writing(self.path, self.instead):
+            home.mkdir(parents=True, exist_ok=True)
+            with TemporaryDirectory(dir=home, prefix=".", suffix=".part", ignore_cleanup_errors=True) as part:
+                made = Path(part) / self.path.name
+                yield made
+                _put_in_place(made, self.path, Path(part) / f"{made.name}.old" if self.force else None)
 
     @abstractmethod
     def _check_place(self) -> None:

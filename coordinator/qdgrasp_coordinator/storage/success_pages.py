@@ -65,11 +65,6 @@ def success_dtype(joints: int, contact_slots: int) -> np.dtype[np.void]:
     return RowShape(0, joints, contact_slots=contact_slots).dtype_of(SUCCESS_COLUMNS)
 
 
-def page_limit(shape: RowShape) -> int:
-    """The most finds in one answer about rows of a shape."""
-    return min(MOST_SUCCESSES, MOST_BYTES // success_dtype(shape.joints, shape.contact_slots).itemsize)
-
-
 def success_table(rows: Rows, shape: RowShape, **columns: NDArray[np.number]) -> SuccessTable:
     """Return successes (n,) as finds (n,); the others are the columns that rows lack."""
     finds = np.zeros(len(rows), dtype=success_dtype(shape.joints, shape.contact_slots))
@@ -77,11 +72,6 @@ def success_table(rows: Rows, shape: RowShape, **columns: NDArray[np.number]) ->
         values = columns[column.name] if column.name in columns else rows[column.name]
         finds[column.name] = values[..., :3] if column.name == "descriptor" else values
     return finds
-
-
-def success_columns(finds: SuccessTable) -> dict[str, bytes]:
-    """Return the columns of successes as bytes, by name, as they travel."""
-    return deflated(pack(finds, SUCCESS_COLUMNS))
 
 
 def page_to_message(finds: SuccessTable, upto: int, journal: Journal, run: str) -> SuccessPage:
@@ -95,7 +85,7 @@ def page_to_message(finds: SuccessTable, upto: int, journal: Journal, run: str) 
         n=len(finds),
         joints=journal.shape.joints,
         contact_slots=journal.shape.contact_slots,
-        columns=success_columns(finds),
+        columns=deflated(pack(finds, SUCCESS_COLUMNS)),
     )
 
 
@@ -118,7 +108,8 @@ def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT)
     Where a success at the end of the journal may have more trials, the number to read on from is that of the
     first such success; with too few it is given without eta.
     """
-    most, parts = page_limit(journal.shape), [all_successes(journal.shape.empty(0))]
+    one = success_dtype(journal.shape.joints, journal.shape.contact_slots)
+    most, parts = min(MOST_SUCCESSES, MOST_BYTES // one.itemsize), [all_successes(journal.shape.empty(0))]
     for part in find_successes(journal.blocks(first), context.plan, first=first):
         parts.append(part)
         if sum(map(len, parts)) > most or (part.stop - first >= ROWS_SCANNED):

@@ -18,7 +18,6 @@ from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.mjcf import is_mjcf
 from qdgrasp_assets.grippers.urdf import Urdf
-from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue
@@ -204,7 +203,7 @@ def _usable_robot(
     OutFile(repaired_urdf(file.path), force=file.force).check()
     OutFolder(repaired_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
     may_centre = repair and given.base_link is None
-    until_written.enter_context(outputs.making_parents(file.path.absolute().parent))
+    file.path.absolute().parent.mkdir(parents=True, exist_ok=True)
     repairing = repaired_copy(
         robot,
         base,

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from qdgrasp_assets.geometry.rotation import Floats, unit
-from qdgrasp_coordinator.metrics.grasp_margin import ball_radius, grasp_margins, primitive_wrenches
+from qdgrasp_coordinator.metrics.grasp_quality import ball_radius, grasp_margins, primitive_wrenches
 
 INRADIUS = np.cos(np.pi / 8)  # of an octagon, whose corners are at 1
 ANTIPODES = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])

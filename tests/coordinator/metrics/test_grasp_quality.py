@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.metrics.grasp_margin import grasp_margins
 from qdgrasp_coordinator.metrics.grasp_quality import (
     TORSION,
     GraspLimits,
+    grasp_margins,
     object_motion,
     recorded_margins,
 )

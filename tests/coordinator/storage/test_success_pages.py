@@ -72,7 +72,7 @@ def test_every_success_comes_with_its_eta_however_short_pages_are(folder, rows, 
 
 @pytest.mark.parametrize("most", [1, 5])
 def test_no_page_has_more_than_an_answer_may_have(folder, rows, monkeypatch, most) -> None:
-    monkeypatch.setattr(success_pages, "page_limit", lambda joints: most)
+    monkeypatch.setattr(success_pages, "MOST_SUCCESSES", most)
     assert told(folder)[0] == pytest.approx(etas(rows))
 
 
