@@ -30,7 +30,7 @@ def main(out: Path, *runs: str) -> None:
 
 def address(commands: Commands, run: str) -> str:
     """Return the address at which the grasps of a run are shown."""
-    process = commands.start("view", run, "--no-open")
+    process = commands.start("view", run)
     found = re.search(r"http://\S+", process.stdout.readline()) if process.stdout else None
     if not found:
         raise SystemExit(process.stderr and process.stderr.read())

@@ -161,7 +161,6 @@ DEFAULTS: tuple[tuple[str, str, str], ...] = (
     (r"qdgrasp (run|resume|campaign|rerank) (?!.*--list)", "--listen", "{own}"),
     (r"qdgrasp (jobs|pause|continue|drain|cancel)\b(?!.*--connect)", "--connect", "{tcp}"),
     (r"qdgrasp-(monitor|worker)\b(?!.*--connect)", "--connect", "{tcp}"),
-    (r"qdgrasp view (?!.*--no-open)", "--no-open", ""),
     (r"qdgrasp render (?!.*--size)", "--size", "320x240"),
 )
 """Flags added to lines that a pattern matches: a budget, an endpoint of its own, a small size."""

@@ -93,7 +93,7 @@ def with_a_hanging_simulator(qdgrasp: Commands) -> subprocess.Popen[str]:
 def viewing(qdgrasp: Commands) -> subprocess.Popen[str]:
     """A page of a finished run, open in a browser."""
     record(qdgrasp.home / "mug", made_scene(), random_rows(20))
-    process = qdgrasp.start("view", "mug", "--no-open")
+    process = qdgrasp.start("view", "mug")
     assert process.stdout is not None
     address = re.search(r"http://127\.0\.0\.1:(\d+)/", process.stdout.readline())
     assert address

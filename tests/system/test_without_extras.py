@@ -53,7 +53,7 @@ IMPORT = ("import", *SCENE, "-o", "made.npz")
         ((*EXPORT, "parquet"), "The format parquet", "pyarrow", "export"),
         ((*IMPORT, "grasps.h5"), "grasps.h5", "h5py", "export"),
         ((*IMPORT, "grasps.parquet"), "grasps.parquet", "pyarrow", "export"),
-        (("view", "finished", "--no-open"), "The page", "prometheus_client", "monitor"),
+        (("view", "finished"), "The page", "prometheus_client", "monitor"),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, tuple) else "",
 )  # fmt: skip

@@ -195,10 +195,11 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
         key: value for key, value in WRITTEN_DEFAULTS.items() if not (key == "in_flight" and says_flight)
     }
     source = source | {"defaults": usual | said}
-    assets = AssetNames(prefer_scans=source.get("prefer_scans", False))
-    defaults = assets.resolve(CAMPAIGN_DEFAULTS | dict.fromkeys(WRITTEN_DEFAULTS) | source["defaults"])
-    crosses = [assets.resolve(cross) for cross in source["cross"]]
-    objects = {assets.absolute(name): dict(known) for name, known in source.get("objects", {}).items()}
+    stand_ins: dict[str, None] | None = {} if source.get("prefer_scans", False) else None
+    first = CAMPAIGN_DEFAULTS | dict.fromkeys(WRITTEN_DEFAULTS) | source["defaults"]
+    defaults = _resolved(first, stand_ins)
+    crosses = [_resolved(cross, stand_ins) for cross in source["cross"]]
+    objects = {absolute_asset(name): dict(known) for name, known in source.get("objects", {}).items()}
     runs: dict[str, RunSpec] = {}
     for values, known in _cross_lists(defaults, crosses, objects, where):
         spec = complete_spec(values | known, where)
@@ -208,18 +209,11 @@ def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> C
                 f"{where} asks for run '{name}' twice, with different values; let each run differ in its "
                 "gripper, object, method or seed, or in a key of its spec that does not say when it ends."
             )
-    used = {spec.object for spec in runs.values()}
-    for name in objects:
-        if name not in used:
-            raise InputError(
-                f"{where} says what is known of '{name}', which no run grasps; name it as `object` of a "
-                "[[cross]], in the same words."
-            )
     if here:
         _check_assets(runs.values())
     said = {key: value for key, value in defaults.items() if value is not None}
     resolved = {"defaults": said, "cross": crosses} | ({"objects": objects} if objects else {})
-    return Campaign(runs, resolved, tuple(assets.stand_ins))
+    return Campaign(runs, resolved, tuple(stand_ins or ()))
 
 
 def run_name(spec: RunSpec, values: Mapping[str, Any]) -> str:
@@ -247,42 +241,27 @@ def _usual_spec(method: str) -> RunSpec:
     return structs.replace(spec, in_flight=WRITTEN_DEFAULTS["in_flight"])
 
 
-class AssetNames:
-    """Resolves grippers and objects of a campaign, and notes stand-ins.
+def _resolved(values: dict[str, Any], stand_ins: dict[str, None] | None) -> dict[str, Any]:
+    """Return values of a crossing with absolute paths, and objects as they are taken.
 
-    With `prefer_scans` an object is taken as its scan if that is found.
+    Unless `stand_ins` is None an object is taken as its scan if that is found, else it is noted there.
     """
 
-    def __init__(self, *, prefer_scans: bool) -> None:
-        self._prefer_scans = prefer_scans
-        self._absolute: dict[str, Any] = {}
-        self.stand_ins: dict[str, None] = {}
-
-    def resolve(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Return values of a crossing with absolute paths, and objects as they are taken."""
-        resolved = dict(values)
-        for key, act in (("gripper", self.absolute), ("object", self._object)):
-            if key in values:
-                value = values[key]
-                resolved[key] = [act(one) for one in value] if isinstance(value, list) else act(value)
-        return resolved
-
-    def absolute(self, name: Any) -> Any:
-        """Return a gripper or object as `absolute_asset` does; each name is looked at once."""
-        if not isinstance(name, str):
-            return name
-        if name not in self._absolute:
-            self._absolute[name] = absolute_asset(name)
-        return self._absolute[name]
-
-    def _object(self, name: Any) -> Any:
+    def taken(name: Any) -> Any:
         scan = f"{ycb.PREFIX}{name}"
-        if not self._prefer_scans or scan not in ycb.SCAN_NAMES:
-            return self.absolute(name)
-        if ycb.scan_source(scan) == ABSENT:
-            self.stand_ins[name] = None
-            return name
-        return scan
+        if stand_ins is None or scan not in ycb.SCAN_NAMES:
+            return absolute_asset(name)
+        if ycb.scan_source(scan) != ABSENT:
+            return scan
+        stand_ins[name] = None
+        return name
+
+    resolved = dict(values)
+    for key, act in (("gripper", absolute_asset), ("object", taken)):
+        if key in values:
+            value = values[key]
+            resolved[key] = [act(one) for one in value] if isinstance(value, list) else act(value)
+    return resolved
 
 
 def _check_assets(specs: Collection[RunSpec]) -> None:

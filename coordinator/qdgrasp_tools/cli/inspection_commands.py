@@ -4,10 +4,6 @@ Also `methods`, which lists the search methods.
 """
 
 import json
-import os
-import threading
-import webbrowser
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -230,7 +226,6 @@ def view(
             help="Serve the page there; default: on loopback, at a port that is free.",
         ),
     ] = LOCAL_PAGE,
-    no_open: Annotated[bool, typer.Option("--no-open", help="Open no browser.")] = False,
 ) -> None:
     """Look at the grasps of runs in the browser: in 3D, with filters, and the hand as it grasps.
 
@@ -245,19 +240,11 @@ def view(
         from qdgrasp_tools.monitor.records import FolderIndex
         from qdgrasp_tools.monitor.web.server import folder_routes, serve
 
-        def opened(address: str) -> None:
-            echo(f"The grasps are shown at {address} until Ctrl-C.")
-            if not no_open and has_desktop(os.environ):
-                threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-
-        serve(folder_routes(FolderIndex(directories)), host, port, "", stop, opened)
+        routes = folder_routes(FolderIndex(directories))
+        serve(
+            routes, host, port, "", stop, lambda address: echo(f"The grasps are at {address} until Ctrl-C.")
+        )
     raise typer.Exit(stop.exit_code)
-
-
-def has_desktop(environment: Mapping[str, str]) -> bool:
-    """Return True if this machine has a screen and the user is not connected over SSH."""
-    shown = environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY")
-    return bool(shown) and not environment.get("SSH_CONNECTION")
 
 
 METHOD_COLUMNS = ("name", "prior", "overlaps", "population", "generations_in_flight", "in_flight", "summary")

@@ -198,8 +198,7 @@ class NuDistribution:
     """The distribution of nu of a method's successes with one hand, over its objects."""
 
     hand: str
-    method: str
-    variant: str
+    arm: MethodVariant
     share: NDArray[np.float64]
     """(24,): mean over runs of the share of successes in each bin."""
     runs: int
@@ -223,24 +222,24 @@ def nu_distributions(groups: Sequence[RunGroup]) -> list[NuDistribution]:
         for arm, runs in arms.items():
             if runs:
                 share = np.mean([np.array(run.nu.bins) / sum(run.nu.bins) for run in runs], axis=0)
-                found.append(NuDistribution(scene.gripper, *arm, share, len(runs)))
+                found.append(NuDistribution(scene.gripper, arm, share, len(runs)))
     return found
 
 
 def draw_nu(found: Sequence[NuDistribution]) -> Figure:
     """Draw a row for each hand, a column for each method (the paper's third figure)."""
     hands = list(dict.fromkeys(one.hand for one in found))
-    arms = list(dict.fromkeys((one.method, one.variant) for one in found))
+    arms = list(dict.fromkeys(one.arm for one in found))
     title = "Lean \u03bd of successes from the surface normal: shares in bins of 7.5\u00b0"
     figure, panels = panel_figure(len(hands), len(arms), NU_PANEL, title)
     for one in found:
-        _draw_distribution(panels[hands.index(one.hand), arms.index((one.method, one.variant))], one)
+        _draw_distribution(panels[hands.index(one.hand), arms.index(one.arm)], one)
     return figure
 
 
 def _draw_distribution(axes: Axes, lean: NuDistribution) -> None:
-    edges, hue = np.linspace(0, 1, NU_BINS + 1), hue_of(lean.method)
-    _begin_panel(axes, lean.hand, f"{lean.method} {lean.variant}".rstrip(), lean.words, colour=hue)
+    edges, hue = np.linspace(0, 1, NU_BINS + 1), hue_of(lean.arm[0])
+    _begin_panel(axes, lean.hand, " ".join(lean.arm).rstrip(), lean.words, colour=hue)
     for low, high, opacity in ((0, NU_BINS // 4, 0.9), (NU_BINS // 4, NU_BINS, 0.4)):
         axes.stairs(lean.share[low:high], edges[low : high + 1], fill=True, color=hue, alpha=opacity)
     axes.axvline(0.25, color=INK, linewidth=0.9, linestyle=(0, (4, 2)))

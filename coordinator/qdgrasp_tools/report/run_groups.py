@@ -273,8 +273,7 @@ Sample = tuple[RunHistory, ...]
 class QuartileCurve:
     """Quartiles over the samples of a method after so many counted evaluations: (k,) each."""
 
-    method: str
-    variant: str
+    arm: MethodVariant
     samples: tuple[Sample, ...]
     evaluations: NDArray[np.int64]
     runs: NDArray[np.int64]
@@ -282,11 +281,6 @@ class QuartileCurve:
     low: NDArray[np.float64]
     median: NDArray[np.float64]
     high: NDArray[np.float64]
-
-    @property
-    def arm(self) -> MethodVariant:
-        """Method and variant."""
-        return self.method, self.variant
 
 
 @dataclass(frozen=True)
@@ -368,10 +362,10 @@ def _panel(scene: SceneName, arms: dict[MethodVariant, list[Sample]]) -> CurvePa
     targets = [run.target for samples in arms.values() for sample in samples for run in sample]
     why = next((target.why for target in targets if not target.size), "")
     empty = CurvePanel(scene, not why, why, ())
-    return CurvePanel(scene, not why, why, tuple(_curve(empty, *arm, arms[arm]) for arm in arms))
+    return CurvePanel(scene, not why, why, tuple(_curve(empty, arm, arms[arm]) for arm in arms))
 
 
-def _curve(panel: CurvePanel, method: str, variant: str, samples: Sequence[Sample]) -> QuartileCurve:
+def _curve(panel: CurvePanel, arm: MethodVariant, samples: Sequence[Sample]) -> QuartileCurve:
     """Make a curve at `CURVE_STEPS` equal steps; fewer samples after the shortest ended."""
     begun = tuple(sample for sample in samples if sample_end(sample))
     ends = np.array([sample_end(sample) for sample in begun], dtype=np.int64)
@@ -382,7 +376,7 @@ def _curve(panel: CurvePanel, method: str, variant: str, samples: Sequence[Sampl
     if begun:
         values = [np.where(at <= sample_end(sample), panel.values(sample, at), np.nan) for sample in begun]
         spread = np.nanquantile(values, QUARTILES, axis=0)
-    return QuartileCurve(method, variant, begun, at, runs, *spread)
+    return QuartileCurve(arm, begun, at, runs, *spread)
 
 
 LEAST_RUNS = 5

@@ -2,14 +2,10 @@
 
 import json
 from pathlib import Path
-from queue import SimpleQueue
-from typing import Any
 
 import pytest
-from tests.common import PATIENCE
 from tests.coordinator.recorded_campaigns import record_campaign
-from tests.coordinator.recorded_runs import random_rows, record
-from tests.coordinator.scenes import SceneMaker, made_scene
+from tests.coordinator.scenes import SceneMaker
 from tests.tools.report.test_row_report import OUTCOMES, run_of
 from typer.testing import CliRunner, Result
 
@@ -68,26 +64,6 @@ def test_a_picture_that_cannot_be_drawn_is_refused(path, tmp_path, name, flags, 
 
 def refusal(*arguments: object) -> BaseException | None:
     return CliRunner().invoke(app, ["verify", *map(str, arguments)]).exception
-
-
-@pytest.mark.parametrize(("flags", "is_opened"), [([], True), (["--no-open"], False)])
-def test_the_address_is_printed_and_opened_unless_somebody_says_no(tmp_path, monkeypatch, flags, is_opened):
-    seen, address = SimpleQueue[str](), "http://127.0.0.1:8080/"
-
-    def serve(*given: Any) -> None:
-        given[-1](address)
-        if is_opened:
-            seen.put(seen.get(timeout=PATIENCE))  # until the browser has heard of it
-
-    monkeypatch.setattr("qdgrasp_tools.monitor.web.server.serve", serve)
-    monkeypatch.setattr("webbrowser.open", seen.put)
-    monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.delenv("SSH_CONNECTION", raising=False)
-    path = record(tmp_path / "mug", made_scene(), random_rows(5)).path
-    done = CliRunner().invoke(app, ["view", str(path), *flags])
-    assert done.exit_code == 0, done.exception
-    assert done.stdout == f"The grasps are shown at {address} until Ctrl-C.\n"
-    assert seen.empty() is not is_opened
 
 
 @pytest.fixture(scope="module")
