@@ -172,7 +172,7 @@ class ObjectRecord(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Part of a data set, such as train or test."""
 
 
-GOAL_KEYS = ("successes", "grasps", "no_new_cell", "saturation")
+GOAL_KEYS = ("grasps", "saturation")
 """Keys of a spec's stop criteria besides its budget."""
 STOP_KEYS = ("evaluations", *GOAL_KEYS)
 """Keys of a spec's stop criteria, which may change when a run goes on."""
@@ -232,12 +232,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """Grasps of different kinds after which a cell is filled; default 1 by position, else no bound."""
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
-    successes: Annotated[int, Meta(ge=1, le=10**9)] | None = None
-    """End with so many successes."""
     grasps: Annotated[int, Meta(ge=1, le=10**9)] | None = None
     """End with so many grasps (fitness 1 or more)."""
-    no_new_cell: Annotated[int, Meta(ge=1, le=10**9)] | None = None
-    """End when so many counted evaluations in a row found no new success cell."""
     saturation: Annotated[float, Meta(ge=0, lt=1)] | None = None
     """End when new niches come at this share of the run's mean rate; 0: never."""
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 0

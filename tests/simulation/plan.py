@@ -124,7 +124,7 @@ def with_bad_workers(number: int) -> History:
     return replace(
         history,
         workers=max(2, history.workers),
-        runs=tuple(replace(run, evaluations=120, successes=None, no_new_cell=None) for run in history.runs),
+        runs=tuple(replace(run, evaluations=120, grasps=None, saturation=None) for run in history.runs),
         quality=LinkQuality(delay=history.quality.delay),
         faults={name: rate for name, rate in history.faults.items() if name in HARMLESS},
         has_shapes=False,
@@ -142,16 +142,9 @@ def _run(chance: random.Random, seed: int, many: bool) -> Plan:
         in_flight=(in_flight := chance.choice([1, 1, 2, 3])),
         most_in_flight=6 if in_flight == 3 else 0,
         trials=chance.choice([0, 0, 0, 2, 4]),
-        successes=chance.choice([None, None, None, 5]),
-        no_new_cell=chance.choice([None, None, None, 8]),
-        **_grasp_goals(seed),
+        grasps=chance.choice([None, None, None, 3]),
+        **chance.choice([{}, {}, {}, {"saturation": 0.9, "window": 4}]),
     )
-
-
-def _grasp_goals(seed: int) -> dict[str, float]:
-    """Goals of some runs that are about grasps; no draw, so that the rest of a history stays as it is."""
-    goals: list[dict[str, float]] = [{"grasps": 3}, {"saturation": 0.9, "window": 4}]
-    return goals[seed // 7 % 2] if seed % 7 == 0 else {}
 
 
 def _quality(chance: random.Random) -> LinkQuality:

@@ -96,16 +96,12 @@ def test_a_cancelled_job_keeps_what_it_has_and_can_be_gone_on_with(qdgrasp, long
 @pytest.mark.slow
 def test_a_run_ends_with_its_goal_and_is_extended_from_there(qdgrasp):
     goal = ("run", *SMALL, "--evaluations", 200, "--workers", 1)
-    done = qdgrasp.succeed(*goal, "--set", "successes=12", "--out", "run")
-    assert "12 successes in" in done.out
-    assert "It ended early: 12 successes are found." in done.out
+    done = qdgrasp.succeed(*goal, "--grasps", 3, "--out", "run")
+    assert "It ended early: 3 grasps are found." in done.out
     assert "is finished" in qdgrasp("resume", "run").out
-    assert "successes must be at least 12" in sentence(qdgrasp("resume", "run", "--set", "successes=11"))
-    again = qdgrasp.succeed(
-        "resume", "run", "--set", "successes=30", "--set", "no_new_cell=150", "--workers", 1
-    )
-    assert "30 successes in" in again.out
-    qdgrasp.succeed(*goal, "--set", "successes=30", "--out", "whole")
+    assert "grasps must be at least 3" in sentence(qdgrasp("resume", "run", "--grasps", 2))
+    qdgrasp.succeed("resume", "run", "--grasps", 6, "--workers", 1)
+    qdgrasp.succeed(*goal, "--grasps", 6, "--out", "whole")
     assert qdgrasp.digest("run") == qdgrasp.digest("whole")
 
 

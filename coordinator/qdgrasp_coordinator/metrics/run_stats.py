@@ -161,7 +161,7 @@ class RunCounter:
         self._trials_follow = False
         self._outcomes = [0] * len(Outcome)
         self._cells: set[int] = set()
-        self._tracker = StopTracker(goals, self._cells)
+        self._tracker = StopTracker(goals)
         self._curve = CurveRecorder()
         self.finished = self._ending()
         """Reason why the run is over, in words; None while it is not."""
@@ -204,7 +204,7 @@ class RunCounter:
         self.finished = self._ending()
 
     def _count_nominal(self, rows: Rows) -> None:
-        self._tracker.count(rows, evaluation_mask(rows, self._overlaps))
+        self._tracker.count(rows)
         outcomes = np.bincount(rows["outcome"], minlength=len(Outcome)).tolist()
         self._outcomes = [sum(pair) for pair in zip(self._outcomes, outcomes, strict=True)]
         self.evaluations += len(rows) if self._overlaps == "count" else sum(outcomes[Outcome.MISSED :])
@@ -270,7 +270,7 @@ class RunCounter:
             return len(rows)
         is_counted = evaluation_mask(rows, self._overlaps)
         end = count_to_first(np.cumsum(is_counted) >= self.left)
-        return min(end, self._tracker.rows_until_stop(rows, is_counted))
+        return min(end, self._tracker.rows_until_stop(rows))
 
     def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
         """Check that the rows counted begin a journal of `spec`, which may have another budget.

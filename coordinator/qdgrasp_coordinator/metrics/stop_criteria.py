@@ -21,8 +21,6 @@ Flags = NDArray[np.bool_]
 Counts = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
-LEAST_OUTCOMES = {"successes": Outcome.DROPPED, "grasps": Outcome.SHAKEN}
-"""Least outcome of the rows that a criterion wants so many of, by its name."""
 WINDOW = 1000  # Simulated evaluations whose rate of new niches is held against that of the whole run
 DIGITS = 10_000  # A share in an error is rounded down to a fraction of this
 
@@ -31,10 +29,6 @@ DIGITS = 10_000  # A share in an error is rounded down to a fraction of this
 class StopCriteria:
     """Criteria that end a run before its budget is spent; None: no such criterion."""
 
-    successes: int | None = None
-    """Nominal successes after which it ends."""
-    no_new_cell: int | None = None
-    """Counted evaluations after which it ends, since the last new cell or since the beginning."""
     grasps: int | None = None
     """Nominal grasps after which it ends."""
     saturation: float | None = None
@@ -49,93 +43,56 @@ class StopCriteria:
         """Return the goals of a run."""
         share = spec.saturation or None
         by_orientation = share is not None and spec.diversity in ("orientation", "posture")
-        return cls(spec.successes, spec.no_new_cell, spec.grasps, share, by_orientation)
+        return cls(spec.grasps, share, by_orientation)
 
 
 class StopTracker:
-    """Progress of a run towards its goals; `cells` are the keys of cells with a success so far."""
+    """Progress of a run towards its goals."""
 
-    def __init__(self, goals: StopCriteria, cells: set[int]) -> None:
+    def __init__(self, goals: StopCriteria) -> None:
         self._goals = goals
-        self._cells = cells
-        self._wanted = {name: n for name in LEAST_OUTCOMES if (n := getattr(goals, name)) is not None}
-        self._found = dict.fromkeys(self._wanted, 0)
+        self._grasps = 0
         self._last = Outcome.ERROR  # of the last row
-        self._stale = self._most_stale = 0  # evaluations since a new cell: now, and most before the last row
         self._rate = NicheRate(goals.window, by_orientation=goals.by_orientation)
 
-    def count(self, rows: Rows, is_counted: Flags) -> None:
-        """Count the next nominal rows (n,), before their cells are known."""
+    def count(self, rows: Rows) -> None:
+        """Count the next nominal rows (n,)."""
         if not len(rows):
             return
-        self._found = {name: int(self._counts(name, rows)[-1]) for name in self._wanted}
+        self._grasps += int(np.count_nonzero(rows["outcome"] >= Outcome.SHAKEN))
         self._last = Outcome(rows["outcome"][-1])
-        if self._goals.no_new_cell is not None:
-            stale = self._staleness(rows, is_counted)
-            self._most_stale = max(self._most_stale, self._stale, int(stale[:-1].max(initial=0)))
-            self._stale = int(stale[-1])
         if self._goals.saturation is not None:
             self._rate.count(rows)
 
     @property
     def reached(self) -> str | None:
         """The goal that is reached, in words; None: no goal is."""
-        for name, wanted in self._wanted.items():
-            if self._found[name] >= wanted:
-                return f"{wanted} {name} are found"
-        if self._goals.no_new_cell is not None and self._stale >= self._goals.no_new_cell:
-            return f"the last {self._goals.no_new_cell} evaluations found no new cell"
+        if self._goals.grasps is not None and self._grasps >= self._goals.grasps:
+            return f"{self._goals.grasps} grasps are found"
         if self._goals.saturation is not None and self._rate.share <= self._goals.saturation:
             return f"it is saturated: the last {self._goals.window} simulated evaluations found little new"
         return None
 
-    def rows_until_stop(self, rows: Rows, is_counted: Flags) -> int:
+    def rows_until_stop(self, rows: Rows) -> int:
         """Count the next nominal rows (n,) up to the first that reaches a goal; else all."""
         ends = [len(rows)]
-        for name, wanted in self._wanted.items():
-            ends.append(count_to_first(self._counts(name, rows) >= wanted))
-        if self._goals.no_new_cell is not None:
-            ends.append(count_to_first(self._staleness(rows, is_counted) >= self._goals.no_new_cell))
+        if self._goals.grasps is not None:
+            found = self._grasps + np.cumsum(rows["outcome"] >= Outcome.SHAKEN)
+            ends.append(count_to_first(found >= self._goals.grasps))
         if self._goals.saturation is not None:
             ends.append(count_to_first(self._rate.shares(rows) <= self._goals.saturation))
         return min(ends)
 
     def check(self) -> None:
         """Raise `ImpossibleValue` if a goal was reached before the last row that was counted."""
-        for name, wanted in self._wanted.items():
-            least = self._found[name] + (self._last < LEAST_OUTCOMES[name])
-            if wanted < least:
-                raise ImpossibleValue(name, wanted, f"at least {least}, which are recorded")
-        if self._goals.no_new_cell is not None and self._goals.no_new_cell <= self._most_stale:
-            raise ImpossibleValue(
-                "no_new_cell",
-                self._goals.no_new_cell,
-                f"at least {self._most_stale + 1}: so long a stretch without a new cell is recorded",
-            )
+        least = self._grasps + (not self._last.is_grasp)
+        if self._goals.grasps is not None and self._goals.grasps < least:
+            raise ImpossibleValue("grasps", self._goals.grasps, f"at least {least}, which are recorded")
         if self._goals.saturation is not None and self._goals.saturation >= self._rate.least:
             bound = math.floor(self._rate.least * DIGITS) / DIGITS
             raise ImpossibleValue(
                 "saturation", self._goals.saturation, f"less than {bound}: so small a share is recorded"
             )
-
-    def _counts(self, name: str, rows: Rows) -> Counts:
-        """Number of rows that a criterion wants so many of at each row: (n,)."""
-        return self._found[name] + np.cumsum(rows["outcome"] >= LEAST_OUTCOMES[name])
-
-    def _staleness(self, rows: Rows, is_counted: Flags) -> Counts:
-        """Counted evaluations since the last new cell at each row: (n,)."""
-        done = np.cumsum(is_counted)
-        fresh = np.where(self._is_new(rows), done, -self._stale)
-        return done - np.maximum.accumulate(fresh)
-
-    def _is_new(self, rows: Rows) -> Flags:
-        """Flag the rows that reach a new cell: (n,)."""
-        found = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)
-        reached, places = np.unique(cell_keys(cells(rows["descriptor"][found, :3])), return_index=True)
-        is_unknown = [key not in self._cells for key in reached.tolist()]
-        is_new = np.zeros(len(rows), dtype=bool)
-        is_new[found[places[is_unknown]]] = True
-        return is_new
 
 
 class NicheRate:

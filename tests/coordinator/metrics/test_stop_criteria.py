@@ -15,10 +15,7 @@ from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import GOAL_KEYS, RunSpec
 
-GOALS = (
-    *(("successes", 1), ("successes", 9), ("grasps", 7)),
-    *(("no_new_cell", 1), ("no_new_cell", 6), ("no_new_cell", 20), ("saturation", 0.9)),
-)
+GOALS = (("grasps", 1), ("grasps", 7), ("saturation", 0.9), ("saturation", 0.7))
 KINDS = {"population": (1, 7), "overlaps": ("count", "redraw"), "in_flight": (1, 2), "trials": (0, 2)}
 PLANS = [
     Plan(evaluations=300, seed=seed, task=FEW_CELLS, **dict([*zip(KINDS, kind, strict=True), goal]))
@@ -33,32 +30,22 @@ def test_a_run_ends_with_the_same_row_whatever_the_order_of_arrival(plan: Plan) 
     assert journal(ended, 0, FEW_CELLS) == journal(plan.pipeline(), 1, FEW_CELLS) == expected
     assert ended.tally.evaluations < plan.evaluations
     assert ended.finished in (
-        f"{plan.successes} successes are found",
         f"{plan.grasps} grasps are found",
-        f"the last {plan.no_new_cell} evaluations found no new cell",
         "it is saturated: the last 20 simulated evaluations found little new",
     )
 
 
-@pytest.mark.parametrize("plan", PLANS, ids=str)
+@pytest.mark.parametrize("plan", [plan for plan in PLANS if plan.grasps], ids=str)
 def test_a_run_ends_with_the_very_row_that_reaches_its_goal(plan: Plan) -> None:
     rows = rows_in(reference(plan))
     rows = rows[rows["trial"] == 0]
-    if plan.successes or plan.grasps:
-        least = Outcome.DROPPED if plan.successes else Outcome.SHAKEN
-        assert np.count_nonzero(rows["outcome"] >= least) == (plan.successes or plan.grasps)
-        assert rows["outcome"][-1] >= least
-    if plan.no_new_cell:
-        found = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)
-        _, firsts = np.unique(np.sign(rows["descriptor"][found]), axis=0, return_index=True)
-        since = rows[max(found[firsts], default=-1) + 1 :]
-        counts = since["outcome"] >= (Outcome.MISSED if plan.overlaps == "redraw" else Outcome.ERROR)
-        assert (counts.sum(), counts[-1]) == (plan.no_new_cell, True)
+    assert np.count_nonzero(rows["outcome"] >= Outcome.SHAKEN) == plan.grasps
+    assert rows["outcome"][-1] >= Outcome.SHAKEN
 
 
 some_plans = pytest.mark.parametrize(
     "plan",
-    [pytest.param(plan, marks=pytest.mark.slow if plan.population == 1 else ()) for plan in PLANS[::5]],
+    [pytest.param(plan, marks=pytest.mark.slow if plan.population == 1 else ()) for plan in PLANS[::3]],
     ids=str,
 )
 
@@ -89,9 +76,7 @@ def counted(plan: Plan, rows: Rows, size: int) -> RunCounter:
 
 
 VALUES = {
-    "successes": range(1, 14),
     "grasps": range(1, 14),
-    "no_new_cell": range(1, 14),
     "saturation": np.linspace(0.3, 0.95, 14).tolist(),
 }
 

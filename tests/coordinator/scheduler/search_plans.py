@@ -80,8 +80,6 @@ class Plan:
     """Generations, where there become more."""
     trials: int = 0
     """Of each success."""
-    successes: int | None = None
-    no_new_cell: int | None = None
     grasps: int | None = None
     saturation: float | None = None
     window: int = 20
@@ -104,7 +102,7 @@ class Plan:
     @property
     def goals(self) -> StopCriteria:
         """Its stop criteria besides the budget."""
-        names = ("successes", "no_new_cell", "grasps", "saturation", "window")
+        names = ("grasps", "saturation", "window")
         return StopCriteria(**{name: getattr(self, name) for name in names})
 
     @property

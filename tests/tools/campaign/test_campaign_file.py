@@ -55,13 +55,13 @@ class TestCrossing:
 
     def test_goals_replace_those_of_the_defaults_and_are_no_part_of_a_runs_name(self, tmp_path: Path) -> None:
         file = tmp_path / "c.toml"
-        crosses = [{"object": "mug"}, {"object": "bowl", "successes": 7}]
-        source = {"defaults": {"gripper": "panda", "successes": 5}, "cross": crosses}
+        crosses = [{"object": "mug"}, {"object": "bowl", "grasps": 7}]
+        source = {"defaults": {"gripper": "panda", "grasps": 5}, "cross": crosses}
         file.write_text(tomli_w.dumps(source))
         as_written = read_campaign(file)
-        asked = read_campaign(file, goals={"successes": 9, "no_new_cell": None})
-        assert [spec.successes for spec in as_written.runs.values()] == [5, 7]
-        assert [spec.successes for spec in asked.runs.values()] == [9, 7]
+        asked = read_campaign(file, goals={"grasps": 9, "saturation": None})
+        assert [spec.grasps for spec in as_written.runs.values()] == [5, 7]
+        assert [spec.grasps for spec in asked.runs.values()] == [9, 7]
         assert list(asked.runs) == list(as_written.runs) == ["panda-mug-aimed-s0", "panda-bowl-aimed-s0"]
         file.write_text(asked.toml)
         assert read_campaign(file).runs == asked.runs

@@ -31,9 +31,7 @@ from qdgrasp_tools.cli import job_commands, options, run_commands
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.cli.run_commands import rerank_spec
 
-SPEC = RunSpec(
-    gripper="panda", object="tennis_ball", mass=0.07, method="contact_me_scs", seed=5, no_new_cell=9
-)
+SPEC = RunSpec(gripper="panda", object="tennis_ball", mass=0.07, method="contact_me_scs", seed=5, grasps=9)
 
 
 @pytest.fixture
@@ -69,7 +67,7 @@ def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) ->
         chosen: Rows = journal.rows(0, 3)
     spec = rerank_spec(source, chosen, None, protocol="robust", trials=10)
     check_spec(spec)
-    assert spec.no_new_cell is None
+    assert spec.grasps is None
     assert (spec.gripper, spec.object, spec.mass, spec.seed) == ("panda", "tennis_ball", 0.07, 5)
     assert (spec.method, spec.protocol, spec.evaluations, spec.population) == ("given", "robust", 3, 3)
     assert spec.trial_count == 10
