@@ -19,7 +19,6 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
 MM = 1e-3
-NOT_SETTLED = "where hands settled is not recorded: drawn as commanded"
 TORSION = 0.005  # Of finger and object [m]: the radius of a fingertip's patch, as `physical` takes it
 
 

@@ -11,7 +11,7 @@ The digest of a journal is equal for two runs of one spec, however they were car
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
@@ -253,3 +253,13 @@ class Provenance(NamedTuple):
 def provenance(folder: RunFolder, journal: Journal) -> Provenance:
     """Return where the rows of a folder's journal come from."""
     return Provenance(folder.path.absolute().name, folder.spec, journal.platform)
+
+
+def run_folders(directories: Sequence[Path]) -> list[RunFolder]:
+    """Return the runs in folders of runs and campaigns, each once; raises FolderError."""
+    found = []
+    for directory in directories:
+        is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign
+        paths = JobFolder(directory).run_paths if is_campaign else [directory]
+        found += [RunFolder.open(path) for path in paths if not is_campaign or RunFolder.is_run(path)]
+    return list({folder.path.resolve(): folder for folder in found}.values())

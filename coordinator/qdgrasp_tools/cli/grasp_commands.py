@@ -11,6 +11,7 @@ from qdgrasp_coordinator.metrics.successes import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
 from qdgrasp_coordinator.storage.outputs import OutFile
+from qdgrasp_coordinator.storage.run_folder import run_folders
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import lifetime
@@ -110,7 +111,7 @@ def export(
 
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
     choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in, **keys)
-    folders = exporter.run_folders(directories)
+    folders = run_folders(directories)
     is_one = len(directories) == 1 and [folder.path for folder in folders] == directories
     if is_one:
         with progress_messages() as tell:

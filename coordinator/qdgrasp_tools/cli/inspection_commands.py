@@ -14,7 +14,7 @@ from qdgrasp_coordinator.metrics.run_stats import outcome_words
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, OutFile
-from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder, run_folders
 from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
 from qdgrasp_coordinator.storage.tables import aligned_text
 from qdgrasp_protocol.cli_support import echo
@@ -32,7 +32,7 @@ from qdgrasp_tools.cli.options import host_and_port
 from qdgrasp_tools.local.progress import progress_display
 from qdgrasp_tools.local.supervisor import LocalJobConfig
 from qdgrasp_tools.report.row_report import report_table, row_report
-from qdgrasp_tools.verification.verify import choose_rows, compare_engine, run_folders_at, verify_rows
+from qdgrasp_tools.verification.verify import choose_rows, compare_engine, verify_rows
 
 
 def info(
@@ -122,7 +122,7 @@ def verify(
     """
     if every and sample is not None:
         raise InputError("--all leaves nothing to --sample: give one of them.")
-    folders = run_folders_at(directory)
+    folders = run_folders([directory])
     engines = [engine] if engine is not None else [folder.spec.engine for folder in folders]
     config = LocalJobConfig(options.worker_count(workers, *engines))
     most = None if every else sample or SAMPLE_ROWS

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_coordinator.metrics.run_stats import count_rows
-from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.tables import csv_text
@@ -85,16 +84,6 @@ def format_of(name: str) -> ExportFormat:
         raise UnknownName("format", name, FORMATS)
     check_packages(f"The format {name}", *FORMATS[name].packages)
     return FORMATS[name]
-
-
-def run_folders(directories: Sequence[Path]) -> list[RunFolder]:
-    """Return the runs in folders of runs and campaigns, each once; raises FolderError."""
-    found = []
-    for directory in directories:
-        is_campaign = JobFolder.is_job(directory) and JobFolder(directory).is_campaign
-        paths = JobFolder(directory).run_paths if is_campaign else [directory]
-        found += [RunFolder.open(path) for path in paths if not is_campaign or RunFolder.is_run(path)]
-    return list({folder.path.resolve(): folder for folder in found}.values())
 
 
 def export_run(

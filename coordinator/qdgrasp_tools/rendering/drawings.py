@@ -1,4 +1,4 @@
-"""Draws PNG files: grasps of a run, a hand open and closed, an object and its parts."""
+"""Draws PNG files of hands, objects and meshes from two sides; axes and bars of views."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -19,17 +19,8 @@ from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.geometry.mesh_repair import MeshEdges
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.object_model import ObjectModel
-from qdgrasp_assets.scene import Scene, SceneGripper
-from qdgrasp_coordinator.metrics.grasp_quality import NOT_SETTLED, settled_mask
-from qdgrasp_coordinator.metrics.success_metrics import (
-    FITNESS_COLOURS,
-    FITNESS_WORDS,
-)
-from qdgrasp_coordinator.metrics.successes import survival
+from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.storage.outputs import PNG_SIGNATURE
-from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_protocol.text import counted
 from qdgrasp_tools.rendering.ray_renderer import (
     FIELD,
     RAYS_PER_PIXEL,
@@ -44,12 +35,8 @@ from qdgrasp_tools.rendering.views import (
     ELEVATION,
     FINGER_HUES,
     RenderedView,
-    best_azimuth,
-    best_in_cells,
     paint_solid,
     rgb,
-    view_of_cells,
-    view_of_hands,
 )
 
 INK = "#22262b"
@@ -70,55 +57,8 @@ def _has_letter(letter: str) -> bool:
     return all(get_font(file).get_char_index(ord(letter)) for file in files)
 
 
-GRASPS_SIZE = (16.0, 9.2)  # inches
-HANDS_BOX, CELLS_BOX = (0.01, 0.02, 0.545, 0.87), (0.58, 0.24, 0.4, 0.6)
-"""Left, bottom, width and height of the two panels, as shares of the figure."""
 FAINT = "#69717a"
-OUTCOME_NOUNS = {Outcome.DROPPED: "successes", Outcome.SHAKEN: "grasps", Outcome.HELD: "robust"}
 SCALE_BAR = 0.05  # Length of the scale bar [m]
-
-
-def draw_grasps(
-    scene: Scene, rows: Rows, path: Path, *, spec: RunSpec | None = None, pixels: int = 1040
-) -> None:
-    """Draw some grasps of a run, and the cells that it filled, to a PNG file.
-
-    There may be no success among the rows. `spec` names method and seed in the title. The view of the hands
-    is `pixels` wide, the picture 1.8 times as wide.
-    """
-    found = rows[(rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)]
-    best, side = best_in_cells(found), best_azimuth(scene, found)
-    figure = Figure(figsize=GRASPS_SIZE, dpi=pixels / (GRASPS_SIZE[1] * HANDS_BOX[3]), facecolor="white")
-    title = f"{scene.gripper.name}  on  {scene.object.name}"
-    figure.text(0.022, 0.951, figure_text(title), size=26, weight="bold", color=INK, va="center")
-    made = "" if spec is None else f"{spec.method}, seed {spec.seed}, "
-    counts = ", ".join(
-        f"{int((found['outcome'] >= kind).sum()):,} {word}" for kind, word in OUTCOME_NOUNS.items()
-    )
-    figure.text(
-        0.022, 0.911, f"{made}protocol {scene.protocol}:   {counts}", size=13.5, color=FAINT, va="center"
-    )
-    hands = figure.add_axes(HANDS_BOX)
-    view = view_of_hands(scene, found, side, pixels)
-    show_view(hands, view)
-    axes_triad(hands, view)
-    if not settled_mask(view.shown).all():
-        hands.text(0.5, 0.0, NOT_SETTLED, transform=hands.transAxes, size=13, color=FAINT, ha="center")
-    cells = view_of_cells(scene, best, side, round(pixels * CELLS_BOX[3] / HANDS_BOX[3]))
-    _draw_cells(figure.add_axes(CELLS_BOX), cells)
-    figure.savefig(path, format="png")
-
-
-def _draw_cells(axes: Axes, view: RenderedView) -> None:
-    show_view(axes, view)
-    heading = f"{counted(len(view.shown), 'cell', told='{:,}'.format)} of 1 cm where the hand had a success"
-    heading += "" if view.block == 1 else f", in blocks of {view.block} cm"
-    axes.set_title(heading + ("" if view.is_uncut else ", cut open"), size=13, color=INK, loc="left", pad=4)
-    for best, (colour, word) in enumerate(zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)):
-        axes.plot([], [], "s", color=colour, label=f"{int((survival(view.shown) == best).sum()):,}  {word}")
-    axes.legend(
-        loc="upper left", bbox_to_anchor=(0, 0), frameon=False, labelcolor=FAINT, fontsize=12, reverse=True
-    )
 
 
 def show_view(axes: Axes, view: RenderedView, interpolation: str = "none") -> None:

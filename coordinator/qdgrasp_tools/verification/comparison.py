@@ -66,7 +66,6 @@ class VerificationReport(Struct, frozen=True, kw_only=True):
     rows: int
     same: int
     """Rows that are equal in every bit of every result."""
-    runs: int
     outcomes: dict[str, int]
     """Rows by their recorded outcome."""
     different: list[DifferentRow]

@@ -28,7 +28,6 @@ from qdgrasp_coordinator.scheduler.run_plan import (
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import check_table, write_table
-from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.platforms import platform_differences, platform_of
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenance
 from qdgrasp_protocol.errors import InputError
@@ -149,13 +148,6 @@ class ReevaluationQueue(RunQueue):
         return next((sink.platform for sink in self._sinks if sink.platform), {})
 
 
-def run_folders_at(path: Path) -> list[RunFolder]:
-    """Return the run at `path`, or those of the campaign there; raises FolderError."""
-    if JobFolder.is_job(path) and JobFolder(path).is_campaign:
-        return [RunFolder.open(run) for run in JobFolder(path).run_paths]
-    return [RunFolder.open(path)]
-
-
 def choose_rows(folders: Sequence[RunFolder], most: int | None, seed: int) -> list[RowSelection]:
     """Choose rows of all folders, as many of each kind as of any other; `most` None: all.
 
@@ -190,7 +182,6 @@ def verify_rows(
     return VerificationReport(
         rows=rows,
         same=rows - len(found.different),
-        runs=len({(selection.folder.path, selection.found_by.run) for selection in selections}),
         outcomes={outcome.name.lower(): found.outcomes[outcome] for outcome in sorted(found.outcomes)},
         different=sorted(found.different, key=lambda one: (one.folder, one.number)),
         columns=dict(found.columns.most_common()),

@@ -12,12 +12,12 @@ from tests.tools.export.independent_readers import READERS
 from typer.testing import CliRunner, Result
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
+from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest, run_folders
 from qdgrasp_protocol.errors import FolderError, OutputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_tools.cli.main import app
-from qdgrasp_tools.export.exporter import FORMATS, export_dataset, run_folders
+from qdgrasp_tools.export.exporter import FORMATS, export_dataset
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 
 OBJECTS = ("cup", "block", "ball")

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 import trimesh
+from docs.demo import draw_grasps
 from scipy.ndimage import label
 from scipy.spatial.transform import Rotation
 from tests.coordinator.scenes import made_scene
@@ -16,7 +17,6 @@ from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.rendering.drawings import (
-    draw_grasps,
     draw_gripper,
     draw_object,
     project_point,
@@ -28,7 +28,7 @@ from qdgrasp_tools.rendering.views import (
     view_of_hands,
 )
 
-SMALL = 120
+SMALL, SPEC = 120, RunSpec(gripper="jaw", object="block")
 
 
 def rows_of(outcomes: list[Outcome], seed: int = 0) -> Rows:
@@ -51,14 +51,14 @@ def share_drawn(image: np.ndarray) -> float:
 
 @pytest.mark.parametrize("outcomes", [[], [Outcome.DROPPED] * 3])
 def test_a_run_is_drawn_however_little_it_found(tmp_path: Path, outcomes: list[Outcome]) -> None:
-    draw_grasps(made_scene(), rows_of(outcomes), tmp_path / "grasps.png", pixels=SMALL)
+    draw_grasps(made_scene(), rows_of(outcomes), tmp_path / "grasps.png", SPEC, pixels=SMALL)
     assert share_drawn(matplotlib.image.imread(tmp_path / "grasps.png")) > 0.02
 
 
 def test_the_same_rows_give_the_same_picture(tmp_path: Path) -> None:
-    rows, spec = rows_of([Outcome.HELD] * 20), RunSpec(gripper="jaw", object="block")
+    rows = rows_of([Outcome.HELD] * 20)
     for name in ("a.png", "b.png"):
-        draw_grasps(made_scene(), rows, tmp_path / name, spec=spec, pixels=SMALL)
+        draw_grasps(made_scene(), rows, tmp_path / name, SPEC, pixels=SMALL)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 

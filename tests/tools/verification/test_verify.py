@@ -13,7 +13,7 @@ from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue
 from qdgrasp_coordinator.storage.engine_table import read_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import JournalSlice
-from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import RunFolder, run_folders
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
@@ -25,7 +25,6 @@ from qdgrasp_tools.verification.verify import (
     balanced_sample,
     choose_rows,
     compare_engine,
-    run_folders_at,
 )
 
 KINDS = np.repeat(np.array([1, 2, 4, 7], dtype=np.uint8), [500, 3, 40, 8])
@@ -164,13 +163,13 @@ def test_the_runs_of_a_campaign_are_looked_for_in_its_folder(folders, tmp_path) 
     for folder in folders:
         folder.path.rename(campaign.path / "runs" / folder.path.name)
         (campaign.path / "runs" / folder.path.name / "job.json").unlink()
-    assert [folder.run for folder in run_folders_at(campaign.path)] == ["s0", "s1"]
-    assert [folder.run for folder in run_folders_at(campaign.path / "runs" / "s1")] == ["s1"]
+    assert [folder.run for folder in run_folders([campaign.path])] == ["s0", "s1"]
+    assert [folder.run for folder in run_folders([campaign.path / "runs" / "s1"])] == ["s1"]
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FolderError):
-        run_folders_at(tmp_path)
+        run_folders([tmp_path])
 
 
 def test_what_differs_is_noted_by_row_and_column(folders: list[RunFolder]) -> None:
