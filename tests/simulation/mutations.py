@@ -15,7 +15,7 @@ import msgspec
 from tests.simulation.plan import History, wild, with_bad_workers
 from tests.simulation.play import play
 
-from qdgrasp_coordinator.recorder.recorder import LockedJobFolder, Recorder
+from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.run_writer import RunWriter
 from qdgrasp_coordinator.scheduler import batch_dispatcher as dispatching
 from qdgrasp_coordinator.scheduler import worker_registry
@@ -227,7 +227,7 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
         "tell out of order": [patch.object(GenerationBuffer, "ready_rows", _ready_with_gaps)]
     },
     ("8", "epochs rise", wild): {
-        "the epoch is not stored": [off(LockedJobFolder, "store_epoch")],
+        "the epoch is not stored": [off(Recorder, "_store_epoch")],
         "take rows of an older epoch": [around(Recorder, "add_rows", _take_any_epoch)],
     },
     ("8", "true journal", wild): {"take rows past a gap": [around(RunWriter, "add", _take_past_gaps)]},

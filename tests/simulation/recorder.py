@@ -10,7 +10,7 @@ from tests.simulation.network import Network, Question, World
 from tests.simulation.process import Busy, Listen, Process, Steps
 from tests.simulation.worker import JOB, KEYS
 
-from qdgrasp_coordinator.recorder.recorder import LockedJobFolder, Recorder
+from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.recorder_service import LONGEST_WAIT
 from qdgrasp_coordinator.recorder.run_writer import RunIdentity, RunWriter, check_same_run
 from qdgrasp_coordinator.storage.job_folder import JobFolder
@@ -170,36 +170,28 @@ class MemoryJobFolder(JobFolder):
         return "run" not in self._disk.files
 
 
-class MemoryLockedFolder(LockedJobFolder):
-    """The real locked folder, without files."""
-
-    def __init__(self, disk: MemoryDisk, job: str) -> None:
-        self._disk = disk
-        super().__init__(FOLDER, job)
-
-    def begin(self, first: RunIdentity | None) -> None:
-        self._disk.check()
-        self._disk.is_begun = True
-        self._lock_existing()
-
-    def _lock_existing(self) -> None:
-        if self._disk.is_begun and not self.is_begun:
-            self.folder = MemoryJobFolder(self._disk)
-            self.is_begun = True
-            self.epoch = max(self.epoch, self._disk.epoch)
-
-
 class MemoryRecorder(Recorder):
-    """The real recorder, with journals in memory."""
+    """The real recorder, with its folder and journals in memory."""
 
     def __init__(self, disk: MemoryDisk, job: str, disk_wait: float) -> None:
         self._memory = disk
-        super().__init__(MemoryLockedFolder(disk, job), disk, disk_wait)  # type: ignore[arg-type]
+        super().__init__(FOLDER, job, disk_wait, disk)  # type: ignore[arg-type]
+
+    def _begin_folder(self, runs: list[RunIdentity]) -> None:
+        self._memory.check()
+        self._memory.is_begun = True
+        self._lock_existing()
+
+    def _lock_existing(self) -> None:
+        if self._memory.is_begun and not self._is_begun:
+            self.folder = MemoryJobFolder(self._memory)
+            self._is_begun = True
+            self.epoch = max(self.epoch, self._memory.epoch)
 
     def _recorded_platform(self) -> dict[str, str]:
         return next((file.platform for file in self._memory.files.values() if file.platform), {})
 
-    def _check(self, run: RunIdentity) -> None:
+    def _check_run(self, run: RunIdentity) -> None:
         writer = self._find(run.run)
         if writer is not None:
             check_same_run(FOLDER, writer.identity, run)

@@ -8,8 +8,7 @@ again, and these are news.
 """
 
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -50,103 +49,24 @@ MOST_PAGE_ITEMS = 1 << 18  # Numbers in the widest column of a page: 1 MB, the m
 JOB_KINDS = ("a run of its own", "a campaign")
 
 
-class LockedJobFolder(ExitStack):
-    """A job's folder, there or to be created; a context manager that holds its lock.
-
-    A `FolderError` says that it is another job's, in use, holds other files, or cannot be read.
-    """
-
-    def __init__(self, path: Path, job: str) -> None:
-        super().__init__()
-        self.job = job
-        self.folder = JobFolder(path)
-        self.epoch = 0  # Epoch of the coordinator whose rows are taken; `store_epoch` writes it
-        self.is_begun = False
-        self._lock_existing()
-
-    def check(self, asked: Open) -> None:
-        """Refuse runs that may not be opened here, now, and at once."""
-        runs = [run.run for run in asked.runs]
-        if asked.job != self.job:
-            raise Refused(f"this recorder keeps the runs of job '{self.job}', not of '{asked.job}'")
-        if 0 < asked.epoch < self.epoch:
-            raise TookOver.refusal(asked.epoch, self.epoch)
-        if len(set(runs)) < len(runs):
-            raise Refused(f"expected different runs to open, got {runs}")
-        if not runs and asked.epoch:
-            raise Refused("expected runs to open in an epoch that has begun, got none")
-        if RUN in runs and len(runs) > 1:
-            raise Refused(f"'{RUN}' is the name of a run of its own, which has no others beside it")
-        is_campaign = RUN not in runs
-        if self.is_begun and self.folder.is_campaign != is_campaign:
-            raise Refused(
-                f"{self.folder.path} holds {JOB_KINDS[not is_campaign]}, the coordinator opens "
-                f"{JOB_KINDS[is_campaign]}; name another folder"
-            )
-
-    def begin(self, first: RunIdentity | None) -> None:
-        """Create the job's folder if it is missing, for this run alone or among others.
-
-        None: for a campaign of which no run is opened yet.
-        """
-        if self.is_begun:
-            return
-        if first is not None and first.run == RUN:
-            RunFolder.create(self.folder.path, first.spec, None, job=self.job)
-        else:
-            JobFolder.create(self.folder.path, self.job)
-        self._take_lock()
-
-    def store_epoch(self) -> None:
-        """Write the epoch if the folder has a lower one, as a restored copy may."""
-        if self.is_begun and self.folder.epoch < self.epoch:
-            self.folder.set_epoch(self.epoch)
-
-    @property
-    def run_paths(self) -> list[Path]:
-        """The folders of all runs that are there."""
-        return self.folder.run_paths if self.is_begun else []
-
-    def _lock_existing(self) -> None:
-        folder = self.folder
-        if not JobFolder.is_job(folder.path):
-            OutFolder(folder.path).check()
-            return
-        if folder.name != self.job:
-            raise FolderError(
-                f"{folder.path} is of job '{folder.name}', not '{self.job}'; say --job {folder.name}."
-            )
-        self._take_lock()
-
-    def _take_lock(self) -> None:
-        self.enter_context(self.folder.lock())
-        self.is_begun = True
-        self.epoch = max(self.epoch, self.folder.epoch)
-
-
-@contextmanager
-def open_recorder(
-    path: Path, job: str, disk_wait: float, open_journals: int = OPEN_JOURNALS
-) -> Iterator["Recorder"]:
-    """Lock the folder of a job, there or to be created, and record its runs in this context.
-
-    It is a run's own folder where the run is named `RUN`, else a campaign's. A full disk is waited for
-    `disk_wait` seconds; at most `open_journals` journals are open at once.
-    """
-    with LockedJobFolder(path, job) as folder, OpenJournals(open_journals) as journals:
-        yield Recorder(folder, journals, disk_wait)
-
-
-class Recorder:
+class Recorder(ExitStack):
     """Records the runs of a job, of one epoch and one platform, from messages, queries and time.
 
-    Any method that is passed the time raises `DiskFull` when the disk was full for too long.
+    A context manager that holds the lock of the job's folder, there or to be created: a run's own folder
+    where the run is named `RUN`, else a campaign's. A full disk is waited for `disk_wait` seconds.
+
+    A `FolderError` says that the folder is another job's, in use, holds other files, or cannot be read. Any
+    method that is passed the time raises `DiskFull` when the disk was full for too long.
     """
 
-    def __init__(self, folder: LockedJobFolder, journals: OpenJournals, disk_wait: float) -> None:
-        self._folder = folder
+    def __init__(self, path: Path, job: str, disk_wait: float, journals: OpenJournals) -> None:
+        super().__init__()
+        self.folder = JobFolder(path)
+        self.epoch = 0  # Epoch of the coordinator whose rows are taken; `_store_epoch` writes it
+        self._job = job
+        self._is_begun = False  # The folder is there
         self._journals = journals
-        self._keys = Keys(folder.job)
+        self._keys = Keys(job)
         self._disk_wait = disk_wait
         self._full_since = inf  # When a write first found the disk full; infinite: the last one fitted
         self._try_at = -inf  # When to try to write again
@@ -157,14 +77,26 @@ class Recorder:
         """Writers of runs by name; other runs, also finished ones, may be in the folder."""
         self._waiting: dict[str, RunWriter] = {}
         self._without_scene: dict[str, RunWriter] = {}
-        self._finished = FinishedRuns(folder.folder.path)
+        self._finished = FinishedRuns(path)
+        self._lock_existing()
         self._find(RUN)
         self._platform = self._recorded_platform()
 
-    @property
-    def epoch(self) -> int:
-        """Epoch of the coordinator whose rows are taken."""
-        return self._folder.epoch
+    def _lock_existing(self) -> None:
+        folder = self.folder
+        if not JobFolder.is_job(folder.path):
+            OutFolder(folder.path).check()
+            return
+        if folder.name != self._job:
+            raise FolderError(
+                f"{folder.path} is of job '{folder.name}', not '{self._job}'; say --job {folder.name}."
+            )
+        self._take_lock()
+
+    def _take_lock(self) -> None:
+        self.enter_context(self.folder.lock())
+        self._is_begun = True
+        self.epoch = max(self.epoch, self.folder.epoch)
 
     def take(self, sample: Sample, now: float) -> None:
         """Process a message; ignore those of other kinds."""
@@ -189,7 +121,7 @@ class Recorder:
         if message.epoch < self.epoch:
             return False
         is_taken = writer.add(slice_from_message(message, writer.identity.shape), message.epoch, now)
-        self._folder.epoch = message.epoch
+        self.epoch = message.epoch
         if is_taken:
             self._waiting[message.run] = writer
         return is_taken
@@ -235,24 +167,59 @@ class Recorder:
         was recorded on another platform; `FolderError` or `DiskFull` where something cannot be written; and
         `InputError` where a spec is not valid, or its run is to end before what is recorded of it.
         """
-        self._folder.check(asked)
+        self._check_request(asked)
         runs = [RunIdentity.of(run) for run in asked.runs]
         for run in runs:
-            self._check(run)
+            self._check_run(run)
         goes_on = 0 < asked.epoch == self.epoch
         platform = self._common_platform(self._platform if goes_on else self._recorded_platform(), runs)
-        self._folder.begin(runs[0] if runs else None)
+        self._begin_folder(runs)
         if not goes_on:
             self._begin_epoch(asked.epoch or self.epoch + 1)
-        self._folder.store_epoch()
+        self._store_epoch()
         self._platform = platform
         durable = [self._open(run).durable for run in runs]
-        identity = self._folder.folder.identity
+        identity = self.folder.identity
         return Opened(epoch=self.epoch, durable=durable, platform=platform, identity=identity)
 
-    def _check(self, run: RunIdentity) -> None:
+    def _check_request(self, asked: Open) -> None:
+        """Refuse runs that may not be opened here, now, and at once."""
+        runs = [run.run for run in asked.runs]
+        if asked.job != self._job:
+            raise Refused(f"this recorder keeps the runs of job '{self._job}', not of '{asked.job}'")
+        if 0 < asked.epoch < self.epoch:
+            raise TookOver.refusal(asked.epoch, self.epoch)
+        if len(set(runs)) < len(runs):
+            raise Refused(f"expected different runs to open, got {runs}")
+        if not runs and asked.epoch:
+            raise Refused("expected runs to open in an epoch that has begun, got none")
+        if RUN in runs and len(runs) > 1:
+            raise Refused(f"'{RUN}' is the name of a run of its own, which has no others beside it")
+        is_campaign = RUN not in runs
+        if self._is_begun and self.folder.is_campaign != is_campaign:
+            raise Refused(
+                f"{self.folder.path} holds {JOB_KINDS[not is_campaign]}, the coordinator opens "
+                f"{JOB_KINDS[is_campaign]}; name another folder"
+            )
+
+    def _begin_folder(self, runs: list[RunIdentity]) -> None:
+        """Create the job's folder if it is missing, for a run of its own or for others."""
+        if self._is_begun:
+            return
+        if runs and runs[0].run == RUN:
+            RunFolder.create(self.folder.path, runs[0].spec, None, job=self._job)
+        else:
+            JobFolder.create(self.folder.path, self._job)
+        self._take_lock()
+
+    def _store_epoch(self) -> None:
+        """Write the epoch if the folder has a lower one, as a restored copy may."""
+        if self._is_begun and self.folder.epoch < self.epoch:
+            self.folder.set_epoch(self.epoch)
+
+    def _check_run(self, run: RunIdentity) -> None:
         """Check that a run's folder holds a beginning of this run, or nothing."""
-        path = self._folder.folder.run_path(run.run)
+        path = self.folder.run_path(run.run)
         writer = self._find(run.run)
         if writer is not None:
             check_same_run(path, writer.identity, run)
@@ -280,7 +247,7 @@ class Recorder:
         platforms: dict[str | None, dict[str, str]] = {}
         self._finished.refresh()
         engines = self._finished.engines()
-        for path in self._folder.run_paths:
+        for path in self.folder.run_paths if self._is_begun else []:
             with suppress(FolderError, InputError):
                 name = path.name
                 engine = engines[name] if name in engines else read_run_spec(path / SPEC).get("engine")
@@ -298,10 +265,10 @@ class Recorder:
         for writer in self.writers.values():
             writer.forget_waiting(epoch)
         self._waiting.clear()
-        self._folder.epoch = epoch
+        self.epoch = epoch
 
     def _open(self, run: RunIdentity) -> RunWriter:
-        job = self._folder.folder
+        job = self.folder
         path = job.run_path(run.run)
         if not RunFolder.is_run(path):
             RunFolder.add(job, run.run, run.spec, None)
@@ -316,12 +283,12 @@ class Recorder:
     def _writer(self, run: str) -> RunWriter:
         writer = self._find(run)
         if writer is None:
-            raise Refused(f"{self._folder.folder.path} holds no journal of run '{run}': it was not opened")
+            raise Refused(f"{self.folder.path} holds no journal of run '{run}': it was not opened")
         return writer
 
     def _find(self, run: str) -> RunWriter | None:
         """Return a run's writer; None: it has no journal."""
-        path = self._folder.folder.run_path(run)
+        path = self.folder.run_path(run)
         if run not in self.writers and (path / JOURNAL).is_file():
             self._keep(RunWriter(RunFolder(path), self._journals, self.epoch))
         return self.writers.get(run)
@@ -348,7 +315,7 @@ class Recorder:
                 self._on_disk_written()
         return self._take_reports()
 
-    def close(self) -> list[Recorded]:
+    def finish(self) -> list[Recorded]:
         """Commit what waits, if there is room; gives the last reports."""
         with suppress(DiskFull):
             self._commit_due(inf)
@@ -366,11 +333,11 @@ class Recorder:
     def commit(self, run: str) -> None:
         """Make a run's waiting rows durable; on a full disk (`DiskFull`) they go on waiting."""
         writer = self.writers[run]
-        self._folder.store_epoch()
+        self._store_epoch()
         writer.commit(self._platform)
         self._waiting.pop(run, None)
         if run != RUN and (listing := writer.finished) is not None:
-            path = self._folder.folder.run_path(run)
+            path = self.folder.run_path(run)
             self._journals.close(path)  # its files are as they stay
             self._finished.add(path, writer.identity.spec, listing)
 
@@ -385,7 +352,7 @@ class Recorder:
 
     def _on_disk_full(self, full: DiskFull, now: float) -> None:
         """Report that the disk is full, and try again soon; give up when it was full for too long."""
-        folder = self._folder.folder
+        folder = self.folder
         if not self._trouble:
             log.warning("the disk is full; trying again until there is room", reason=str(full))
         self._full_since = min(self._full_since, now)
@@ -399,7 +366,7 @@ class Recorder:
 
     def _on_disk_written(self) -> None:
         if self._trouble:
-            log.info("there is room again", folder=str(self._folder.folder.path))
+            log.info("there is room again", folder=str(self.folder.path))
             self._news.update(self.writers)
         self._full_since, self._try_at, self._trouble = inf, -inf, ""
 

@@ -16,7 +16,9 @@ from queue import Empty, SimpleQueue
 
 import structlog
 
-from qdgrasp_coordinator.recorder.recorder import Recorder, open_recorder
+from qdgrasp_assets.scene import Bundle
+from qdgrasp_coordinator.recorder.recorder import OPEN_JOURNALS, Recorder
+from qdgrasp_coordinator.storage.journal_writer import OpenJournals
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Channel, Query, Sample, fetch_bundle
 from qdgrasp_protocol.errors import BusError, DiskFull, MessageError, NoReply, Refused
@@ -33,14 +35,6 @@ LONGEST_WAIT = 60.0  # seconds after which what is due is checked in any case
 
 
 @dataclass(frozen=True)
-class FetchedScene:
-    """A fetched scene."""
-
-    digest: str
-    payload: bytes
-
-
-@dataclass(frozen=True)
 class PendingQuery:
     """A query that waits for its answer."""
 
@@ -48,7 +42,7 @@ class PendingQuery:
     answer: Future[bytes] = field(default_factory=Future)
 
 
-RecorderEvent = Sample | PendingQuery | FetchedScene | None
+RecorderEvent = Sample | PendingQuery | Bundle | None
 """Input of the recorder's one thread; None: check for signals."""
 
 
@@ -78,7 +72,8 @@ class RecorderService:
         self._stop.tell(lambda: self._inbox.put(None))
         with ExitStack() as stack:
             enter = stack.enter_context
-            recorder = enter(open_recorder(self._path, self._job, self._disk_wait))
+            journals = enter(OpenJournals(OPEN_JOURNALS))
+            recorder = enter(Recorder(self._path, self._job, self._disk_wait, journals))
             enter(self._bus.subscribe(self._keys.outcome(), self._inbox.put))
             enter(self._bus.answer(self._keys.open, self._ask))
             enter(self._bus.answer(self._keys.log, self._ask))
@@ -87,7 +82,7 @@ class RecorderService:
             while not self._stop.is_set:
                 self._step(recorder)
             self._process(recorder, 0.0)
-            self._report(recorder.close())
+            self._report(recorder.finish())
 
     def _step(self, recorder: Recorder) -> None:
         now = time.monotonic()
@@ -116,9 +111,9 @@ class RecorderService:
             case Sample():
                 recorder.take(event, now)
                 self._fetch_at = 0.0  # a coordinator that sends rows has their scene, and may soon be gone
-            case FetchedScene(digest, payload):
+            case Bundle():
                 with suppress(DiskFull):  # it is fetched again soon
-                    recorder.add_scene(digest, payload)
+                    recorder.add_scene(event.digest, event.payload)
 
     def _ask(self, query: Query) -> bytes:
         """Hand a query over from a thread of the bus, and wait for its answer."""
@@ -162,4 +157,4 @@ class RecorderService:
                 continue  # the coordinator is not there for this run now
             except BusError:
                 return  # the next try is soon
-            self._inbox.put(FetchedScene(digest, payload))
+            self._inbox.put(Bundle(payload, digest))

@@ -1,5 +1,5 @@
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from contextlib import contextmanager
 from math import inf
 from pathlib import Path
 
@@ -12,12 +12,12 @@ from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, mak
 from qdgrasp_coordinator.recorder.recorder import (
     COMMITS_AT_ONCE,
     Recorder,
-    open_recorder,
 )
 from qdgrasp_coordinator.recorder.run_writer import GROUP_SECONDS
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal, JournalSlice, slice_to_message
+from qdgrasp_coordinator.storage.journal_writer import OpenJournals
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Sample
@@ -31,8 +31,10 @@ ROWS = make_rows(100)
 HERE, ELSEWHERE = {"pybullet": "3.2.7"}, {"pybullet": "3.2.6"}
 
 
-def recording(path: Path, open_journals: int = 64) -> AbstractContextManager[Recorder]:
-    return open_recorder(path, JOB, 60.0, open_journals)
+@contextmanager
+def recording(path: Path, open_journals: int = 64) -> Iterator[Recorder]:
+    with OpenJournals(open_journals) as journals, Recorder(path, JOB, 60.0, journals) as recorder:
+        yield recorder
 
 
 def ask(*runs: str, epoch: int = 0, spec: RunSpec = SPEC, scene: str = BUNDLE.digest) -> Open:
