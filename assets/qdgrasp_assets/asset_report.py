@@ -4,9 +4,9 @@ An object's report comes from its mesh file, a gripper's from its TOML file and 
 file that would be guessed for it. All faults are listed in the report, in words.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -20,7 +20,6 @@ from qdgrasp_assets.geometry.collision_parts import (
     Tell,
     collision_parts,
     ignore_progress,
-    known_parts,
 )
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import scale_in_words
@@ -52,6 +51,11 @@ class AssetReport(Struct, frozen=True, kw_only=True):
     """Unlikely things that do not prevent its use."""
     faults: tuple[str, ...] = ()
     """Reasons why it cannot be used; empty where it can."""
+
+    @property
+    def facts(self) -> tuple[str, ...]:
+        """Main facts in a few words each."""
+        return ()
 
     @property
     def table(self) -> str:
@@ -125,8 +129,10 @@ class ObjectReport(AssetReport, frozen=True, kw_only=True):
     def facts(self) -> tuple[str, ...]:
         """Main facts in a few words each."""
         volume = () if self.volume is None else (f"{self.volume * 1e6:.2f} cm3",)
+        mass = () if self.mass is None else (f"{self.mass:g} kg",)
         repairs = (f"repaired: {'; '.join(self.repairs)}",) if self.repairs else ()
-        return (f"{lengths_in_words(self.extents)} m", counted(self.triangles, "triangle"), *volume, *repairs)
+        size = f"{lengths_in_words(self.extents)} m", counted(self.triangles, "triangle")
+        return (*size, *volume, *mass, *repairs)
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         yield "object", self.name
@@ -419,23 +425,14 @@ def _hollow_notes(hand: Urdf) -> Iterator[str]:
         )
 
 
-@dataclass(frozen=True)
-class AssetSummary:
-    """Result of the check of one asset."""
-
-    name: str
-    facts: tuple[str, ...] = ()
-    faults: tuple[str, ...] = ()
-
-
-def check(name: str) -> AssetSummary:
+def check(name: str) -> AssetReport:
     """Check a gripper or object by name or file; `UnknownName` if it is neither."""
     try:
         return _check(name)
     except UnknownName:
         raise
     except QdgraspError as error:
-        return AssetSummary(name, faults=(str(error),))
+        return AssetReport(name=name, faults=(str(error),))
 
 
 def is_gripper(name: str) -> bool:
@@ -443,43 +440,33 @@ def is_gripper(name: str) -> bool:
     return name.endswith(".toml") or name in {listing.name for listing in catalog.every_gripper()}
 
 
-def _check(name: str) -> AssetSummary:
+def _check(name: str) -> AssetReport:
     if name in STAND_INS:
         target = stand_in(name)
-        return _mesh_summary(name, target.mesh, (f"{target.mass:g} kg",))
+        return _mesh_report(name, target.mesh, target.mass)
     if name in SCANS:
         return _check_scan(name)
     if is_gripper(name):
-        found = examine_gripper(name)
-        return AssetSummary(name, found.facts, found.faults)
+        return examine_gripper(name)
     if path_problem(named_path(name)) != NOT_THERE:
-        draft = read_draft(named_path(name))
-        report = inspect_object(draft, name, glued=True, parts=False)
-        hulls = () if report.faults else (_known_hulls(draft.mesh),)
-        return AssetSummary(name, report.facts + hulls, report.faults)
+        return inspect_object(read_draft(named_path(name)), name, glued=True, parts=False)
     known = [listing.name for listing in (*catalog.every_gripper(), *catalog.every_object())]
     raise UnknownName("asset", name, known, "Or name a mesh file, or a gripper's TOML file.")
 
 
-def _check_scan(name: str) -> AssetSummary:
-    scan, source = SCANS[name], ycb.scan_source(name)
+def _check_scan(name: str) -> AssetReport:
+    source = ycb.scan_source(name)
     if source == catalog.ABSENT:
         fault = f"it is absent ({searched()}); `qdgrasp asset fetch {name}` fetches it"
-        return AssetSummary(name, faults=(fault,))
+        return AssetReport(name=name, faults=(fault,))
     mesh = ycb.read_scan(name, "paper").mesh if source == "asset path" else ycb.read_fetched(name)
-    return _mesh_summary(name, mesh, (_known_hulls(mesh),), scan_differences(mesh, scan))
+    found = _mesh_report(name, mesh)
+    return msgspec.structs.replace(found, faults=(*found.faults, *scan_differences(mesh, SCANS[name])))
 
 
-def _mesh_summary(name: str, mesh: Mesh, facts: Iterable[str], faults: Iterable[str] = ()) -> AssetSummary:
-    size = f"{lengths_in_words(mesh.extents)} m", counted(len(mesh.faces), "triangle")
-    volume = f"{mesh.volume * 1e6:.2f} cm3"
-    return AssetSummary(name, (*size, volume, *facts), (*surface_faults(mesh), *faults))
-
-
-def _known_hulls(mesh: Mesh) -> str:
-    if known := known_parts(mesh):
-        return counted(len(known[1]), "convex part")
-    return "convex parts not found yet: CoACD will, at first use"
+def _mesh_report(name: str, mesh: Mesh, mass: float | None = None) -> ObjectReport:
+    draft = ObjectDraft(mesh, 1, (), surface_faults(mesh))
+    return inspect_object(draft, name, mass=mass, glued=True, parts=False)
 
 
 def examine_gripper(name: str) -> GripperReport:

@@ -11,7 +11,7 @@ import tomllib
 import zlib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -179,48 +179,35 @@ def _reference_folder(name: str) -> Path | None:
     return on_asset_path(f"objects/{name.removeprefix(PREFIX)}")
 
 
-LARGEST_MEMBER = 1 << 28  # bytes; the mesh of a scan has one or two megabytes
-
-
 def read_member(archive: Path, member: str) -> bytes:
-    """Return the file `member` of a `.tgz`; `AssetError` if missing, too large or broken."""
+    """Return the file `member` of a `.tgz`; `AssetError` if it is missing or broken."""
     try:
-        with tarfile.open(archive, mode="r|gz") as tar:
-            for entry in tar:
-                if PurePosixPath(entry.name) == PurePosixPath(member):
-                    break
-            else:
-                raise AssetError(f"There is no '{member}' in '{archive.name}'.")
-            file = tar.extractfile(entry) if entry.isreg() else None
+        with tarfile.open(archive, mode="r:gz") as tar:
+            found = [entry for entry in tar if entry.isreg() and Path(entry.name) == Path(member)]
+            file = tar.extractfile(found[0]) if found else None
             if file is None:
-                raise AssetError(f"'{entry.name}' in '{archive.name}' is not a file.")
-            if entry.size > LARGEST_MEMBER:
-                size = f"{entry.size} bytes, too many for a scan"
-                raise AssetError(f"'{entry.name}' in '{archive.name}' has {size}.")
+                raise AssetError(f"There is no file '{member}' in '{archive.name}'.")
             return file.read()
     except (tarfile.TarError, zlib.error, EOFError, OSError) as error:
         raise AssetError(f"'{archive.name}' is not a whole tar archive: {error}.") from None
 
 
 SILENCE_LIMIT = 30.0  # s without a byte
-LARGEST_DOWNLOAD = 1 << 29  # bytes; the archives of scans have tens of megabytes
 
 Progress = Callable[[int, int | None], None]
 """Called with the bytes received and the bytes expected, None if the server does not say."""
 
 
 class _ProgressBar:
-    """A progress bar as pooch calls it, with a limit on the bytes of a download."""
+    """A progress bar as pooch calls it."""
 
     def __init__(self, progress: Progress) -> None:
         self._progress, self._here = progress, 0
         self.total = 0  # Bytes expected, which pooch sets
 
     def update(self, count: int) -> None:
-        """Count bytes that came; AssetError for too many."""
+        """Count bytes that came."""
         self._here += count
-        if max(self._here, self.total) > LARGEST_DOWNLOAD:
-            raise AssetError(f"it has more than the {LARGEST_DOWNLOAD} bytes that a scan may have.")
         self._progress(self._here, self.total or None)
 
     def reset(self) -> None:

@@ -148,6 +148,6 @@ def test_a_fetched_scan_has_the_constants_of_the_set_and_its_own_parts_but_not_t
 @pytest.mark.parametrize("behaviour", [cut(100), fails(404), claims(1 << 40)])
 def test_a_download_that_fails_leaves_nothing(site, behaviour):
     site.behaviours = [behaviour]
-    assert_refused(site, "cannot be fetched|more than the .* bytes")
+    assert_refused(site, "cannot be fetched")
     assert list(archived().iterdir()) == []
     assert bring(site).is_file()

@@ -9,7 +9,6 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from qdgrasp_assets.geometry.rotation import Floats
 
@@ -27,6 +26,8 @@ class Hull:
     high: Floats
     triangles: Floats
     """(t, 3, 3) [m]: its surface."""
+    corners: Floats
+    """(v, 3) [m]: the points that it is the hull of."""
 
     @property
     def normals(self) -> Floats:
@@ -48,7 +49,7 @@ class Hull:
         """The hull with each of its planes moved inward by `by` (p,) [m]."""
         return replace(self, planes=np.column_stack([self.normals, self.planes[:, 3] + by]))
 
-    def moved(self, frame: Floats) -> Self:
+    def moved(self, frame: Floats) -> "Hull":
         """The hull in the frame that `frame` (4, 4) comes from."""
         rotation, shift = frame[:3, :3], frame[:3, 3]
         normals = self.normals @ rotation.T
@@ -56,9 +57,8 @@ class Hull:
         triangles = self.triangles @ rotation.T + shift
         corners = triangles.reshape(-1, 3)
         planes = np.column_stack([normals, offsets])
-        return replace(
-            self, planes=planes, low=corners.min(axis=0), high=corners.max(axis=0), triangles=triangles
-        )
+        placed = self.corners @ rotation.T + shift
+        return Hull(planes, corners.min(axis=0), corners.max(axis=0), triangles, placed)
 
     def contains(self, points: Floats) -> NDArray[np.bool_]:
         """(n,): True for the points (n, 3) [m] that are inside."""
@@ -70,6 +70,8 @@ class Hull:
 
 def convex_hulls(parts: Iterable[Floats]) -> list[Hull]:
     """The hulls of the corners (v, 3) [m] of each part; flat ones hold nothing and are left out."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import, and few commands need it
+
     found = []
     for corners in parts:
         try:
@@ -78,7 +80,8 @@ def convex_hulls(parts: Iterable[Floats]) -> list[Hull]:
             continue
         _, first = np.unique(hull.equations.round(PLANE_DECIMALS), axis=0, return_index=True)
         planes = hull.equations[np.sort(first)]
-        found.append(Hull(planes, corners.min(axis=0), corners.max(axis=0), corners[hull.simplices]))
+        surface = corners[hull.simplices]
+        found.append(Hull(planes, corners.min(axis=0), corners.max(axis=0), surface, corners))
     return found
 
 

@@ -274,7 +274,8 @@ class ClosingSearch:
 
         A single joint does not curl a finger, nor do the joints of a linkage, of which one turns back.
         """
-        chain = [name for name in _chain(self.body, group.finger.tips[0][0]) if name in group.finger.joints]
+        way = [joint.name for joint in self.body.robot.inward(group.finger.tips[0][0])]
+        chain = [name for name in reversed(way) if name in group.finger.joints]
         axes = _joint_axes(self.body, {*chain, *group.joints})
         along = {name: float(axes[name] @ axes[group.joints[0]]) for name in chain}
         turning = {name: float(np.sign(cosine)) for name, cosine in along.items() if abs(cosine) > PARALLEL}
@@ -453,14 +454,3 @@ def _joint_axes(body: HandModel, names: Iterable[str]) -> dict[str, Floats]:
     """Return the unit axes (3,) of joints at zero, base link's frame."""
     frames = body.robot.forward({})
     return {name: frames[body.joint(name).child][:3, :3] @ body.joint(name).axis for name in names}
-
-
-def _chain(body: HandModel, link: str) -> list[str]:
-    """Return the moving joints on the way from the base link to `link`."""
-    arriving = {joint.child: joint for joint in body.robot.joints}
-    found = []
-    while link in arriving:
-        joint = arriving[link]
-        found += [joint.name] if joint.moves else []
-        link = joint.parent
-    return found[::-1]

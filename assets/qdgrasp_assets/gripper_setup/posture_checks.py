@@ -8,6 +8,7 @@ from itertools import combinations, product
 import numpy as np
 
 from qdgrasp_assets.geometry.mesh import Floats
+from qdgrasp_assets.geometry.voxels import Hull
 from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.closing_motion import (
     CLOSING_TIME,
@@ -17,7 +18,7 @@ from qdgrasp_assets.gripper_setup.closing_motion import (
     interpolate_posture,
 )
 from qdgrasp_assets.grippers.gripper_file import NOTHING_CLOSES, GripperFile
-from qdgrasp_assets.grippers.hand_model import ConvexSolid, HandModel, find_fingers, overlap_depth
+from qdgrasp_assets.grippers.hand_model import HandModel, depth, find_fingers, overlap_depth
 from qdgrasp_assets.scene import unit_vector
 from qdgrasp_protocol.text import counted, join_numbers
 
@@ -302,7 +303,7 @@ def sampled_postures(hand: HandPostures) -> Iterator[dict[str, float]]:
         yield {**posture, **free}
 
 
-def _do_overlap(placed: dict[str, tuple[ConvexSolid, ...]], pair: LinkPair) -> bool:
+def _do_overlap(placed: dict[str, tuple[Hull, ...]], pair: LinkPair) -> bool:
     one, other = pair
     grown = [part.grown(TOUCHING) for part in placed[one]]
-    return any(first.depth(second) > 0 for first, second in product(grown, placed[other]))
+    return any(depth(first, second) > 0 for first, second in product(grown, placed[other]))

@@ -6,7 +6,6 @@ base link in the middle is added where the fingers close beside the line on whic
 """
 
 import copy
-import io
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -23,15 +22,15 @@ from qdgrasp_assets.geometry.collision_parts import (
     simplify_part,
 )
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, hull, parts_to_obj, stl_triangles
+from qdgrasp_assets.geometry.mesh_repair import simplify_mesh
 from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.draft import CENTRE, DraftOverrides, draft_axis, draft_closing
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
-from qdgrasp_assets.grippers.collision_shapes import CONCAVE, attribute_numbers, obj_group_corners
+from qdgrasp_assets.grippers.collision_shapes import CONCAVE, attribute_numbers, obj_group_corners, triangles
 from qdgrasp_assets.grippers.hand_model import (
     collision_corners,
     collision_elements,
     contradicted_limits,
-    mesh_bytes,
     read_hand_model,
 )
 from qdgrasp_assets.grippers.urdf import Urdf, add_file, drop_visuals, parse_origin, parse_robot, read_urdf
@@ -61,21 +60,16 @@ def hollow_meshes(hand: Urdf) -> Iterator[tuple[str, float]]:
 
 def read_mesh_of(robot: Urdf, element: ET.Element) -> Mesh:
     """Read a robot's `<mesh>`, scaled, equal vertices merged; `AssetError` if it cannot be read."""
-    import trimesh
-
     name = element.get("filename", "")
-    content, kind = mesh_bytes(robot, name), PurePosixPath(name).suffix.removeprefix(".").lower()
+    content = robot.mesh(name)
     try:
-        read = trimesh.load_mesh(io.BytesIO(content), file_type=kind)
-    except Exception as error:  # noqa: BLE001  # trimesh's readers raise errors of any kind
+        mesh = triangles(element, {name: content})
+    except Exception as error:  # noqa: BLE001  # readers of meshes raise errors of any kind
         raise AssetError(
             f"The mesh '{name}' cannot be read ({type(error).__name__}: {error}); save it as an STL or "
             "OBJ file."
         ) from None
-    read.merge_vertices(merge_tex=True, merge_norm=True)
-    scale = attribute_numbers(element, "scale", "1 1 1")
-    mesh = Mesh(np.asarray(read.vertices, dtype=np.float64) * scale, np.asarray(read.faces, dtype=np.int64))
-    return mesh.flipped() if np.prod(scale) < 0 else mesh
+    return mesh.flipped() if np.prod(attribute_numbers(element, "scale", "1 1 1")) < 0 else mesh
 
 
 def is_solid(corners: Floats) -> bool:
@@ -86,8 +80,7 @@ def is_solid(corners: Floats) -> bool:
 THRESHOLDS = (0.2, 0.1, 0.05)
 """Concavities for CoACD, in the order tried: the first whose parts leave the room is taken."""
 MILLIMETRES = 0.001
-FEW_TRIANGLES = 4000  # Triangles above which a mesh is thinned before it is split
-NEAR_VERTICES = 1.5e-3  # Vertices of such a mesh that are in the same cube of this size become one [m]
+FEW_TRIANGLES = 4000  # Most triangles of a mesh that is split: a denser one is simplified first
 
 
 class MeshSplitter:
@@ -121,21 +114,6 @@ class MeshSplitter:
             if words:
                 yield f"the mesh '{key[0]}' of the link '{link}' {words}"
 
-    def corners(self, hand: Urdf, link: str) -> tuple[Floats, ...]:
-        """Return the corners (v, 3) of the repaired link's convex parts [m], link frame."""
-        found: list[Floats] = []
-        for name, shape in collision_elements(hand):
-            if name != link:
-                continue
-            mesh = shape.find("geometry/mesh")
-            if mesh is None:
-                found += collision_corners(hand, link, shape)
-                continue
-            frame = parse_origin(hand.path, shape.find("origin"))
-            for corners in obj_group_corners(self.files[mesh.get("filename", "")].decode()):
-                found.append(corners @ frame[:3, :3].T + frame[:3, 3])
-        return tuple(found)
-
     def _rewrite(self, link: str, element: ET.Element) -> tuple[str, str]:
         """Write a mesh anew; return its new name and the change."""
         name, words = element.get("filename", ""), []
@@ -155,11 +133,12 @@ class MeshSplitter:
         filled = clearance.fit(own).filled
         if filled <= MUCH_FILLED:
             kind = PurePosixPath(name).suffix.lower()
-            is_text = kind == ".stl" and stl_triangles(mesh_bytes(self._hand, name)) is None
+            is_text = kind == ".stl" and stl_triangles(self._hand.mesh(name)) is None
             is_read = kind in SIMULATOR_FORMATS and not is_text
             return own, "" if is_read else "was made a convex hull, as the simulator reads no such file"
         self._tell(f"splitting the mesh '{name}' of the link '{link}' into convex parts")
-        thin, percent = thin_mesh(mesh), f"{100 * filled:.0f} %"
+        percent = f"{100 * filled:.0f} %"
+        thin = simplify_mesh(mesh, FEW_TRIANGLES) if len(mesh.faces) > FEW_TRIANGLES else mesh
         for threshold in THRESHOLDS:
             found = decompose(thin, name, threshold)
             left = clearance.fit(found).filled
@@ -174,7 +153,7 @@ class MeshSplitter:
         """Return the hulls that the simulator itself would make of a mesh, with few corners."""
         shapes = [mesh.vertices]
         if PurePosixPath(name).suffix.lower() == ".obj":
-            text = mesh_bytes(self._hand, name).decode("utf-8", "replace")
+            text = self._hand.mesh(name).decode("utf-8", "replace")
             shapes = [
                 corners * attribute_numbers(element, "scale", "1 1 1") for corners in obj_group_corners(text)
             ]
@@ -186,26 +165,12 @@ class MeshSplitter:
         return solids
 
 
-def thin_mesh(mesh: Mesh) -> Mesh:
-    """Merge vertices nearer than `NEAR_VERTICES` in a mesh of many triangles."""
-    if len(mesh.faces) <= FEW_TRIANGLES:
-        return mesh
-    _, which = np.unique(np.round(mesh.vertices / NEAR_VERTICES), axis=0, return_inverse=True)
-    which = which.reshape(-1)
-    counts = np.bincount(which)
-    middles = np.stack([np.bincount(which, mesh.vertices[:, axis]) / counts for axis in range(3)], axis=1)
-    faces = which[mesh.faces]
-    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    _, first = np.unique(np.sort(faces[whole], axis=1), axis=0, return_index=True)
-    return Mesh(middles, faces[whole][np.sort(first)])
-
-
 DENSITY = 1000.0  # Density of links with shapes [kg/m3]
 FRAME_MASS = 1e-3  # Mass of links without shapes: frames, tips, mounts [kg]
 LEAST_SIDE = 5e-3  # Least side of the box that gives a link its inertia [m]
 
 
-def weigh(hand: Urdf, splitter: MeshSplitter) -> Iterator[str]:
+def weigh(hand: Urdf) -> Iterator[str]:
     """Give a mass and an inertia to each link of a hand that lacks them; yields the changes."""
     given: dict[str, str] = {}
     wrong = unweighed(hand.element)
@@ -215,7 +180,9 @@ def weigh(hand: Urdf, splitter: MeshSplitter) -> Iterator[str]:
             continue
         for old in link.findall("inertial"):
             link.remove(old)
-        mass, inertial = _inertial(splitter.corners(hand, name))
+        shapes = link.findall("collision")
+        parts = tuple(part for shape in shapes for part in collision_corners(hand, name, shape))
+        mass, inertial = _inertial(parts)
         link.append(inertial)
         given[name] = f"{name} {float(mass):.3g}"
     if given:
@@ -261,7 +228,7 @@ def repair(robot: Urdf, base: str, folder: str, tell: Tell) -> RepairedHand:
     splitter = MeshSplitter(hand, folder, tell)
     changes = [*_joints(hand.path, hand.element), *_shapes(hand.element), *splitter.repair()]
     drop_visuals(hand.element)
-    changes += weigh(parse_robot(hand.path, hand.element), splitter)
+    changes += weigh(parse_robot(hand.path, hand.element, {**hand.meshes, **splitter.files}))
     return hand.element, splitter.files, tuple(changes)
 
 

@@ -13,7 +13,6 @@ from itertools import product
 from pathlib import PurePosixPath
 
 import numpy as np
-from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, geodesic, read_obj, stl_triangles
 from qdgrasp_assets.grippers.urdf import Urdf, parse_origin
@@ -24,32 +23,32 @@ FORMS = ("mesh", "box", "cylinder", "sphere")  # The geometries of URDF
 
 
 @dataclass(frozen=True)
-class CollisionShape:
-    """One collision shape of a link."""
+class CollisionShape(Mesh):
+    """One collision shape of a link, link frame."""
 
     link: str
-    vertices: Floats
-    """(v, 3) [m], link frame."""
-    faces: NDArray[np.int64]
-    """(f, 3): the vertices of each triangle."""
 
 
 def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[CollisionShape]:
     """Yield links' collision shapes from `files` by name; `AssetError` if a mesh is empty."""
     for link in robot.element.findall("link"):
         for collision in link.findall("collision"):
-            geometry = collision.find("geometry")
-            if geometry is None or not len(geometry):
-                continue
-            mesh, name = _triangles(geometry[0], files), link.get("name", "")
-            if not len(mesh.faces):
-                raise AssetError(
-                    f"The URDF '{robot.path}' has an empty collision shape: the mesh of link '{name}' has no "
-                    "triangles; give it one with a surface, or leave the shape out."
-                )
-            frame = parse_origin(robot.path, collision.find("origin"))
-            placed = mesh.vertices @ frame[:3, :3].T + frame[:3, 3]
-            yield CollisionShape(name, placed, mesh.faces)
+            yield from collision_shape(robot, link.get("name", ""), collision, files)
+
+
+def collision_shape(
+    robot: Urdf, link: str, collision: ET.Element, files: Mapping[str, bytes]
+) -> Iterator[CollisionShape]:
+    """Yield the one shape of a `<collision>`, none without a geometry; errors of `shapes`."""
+    for element in collision.findall("geometry/*")[:1]:
+        mesh = triangles(element, files)
+        if not len(mesh.faces):
+            raise AssetError(
+                f"The URDF '{robot.path}' has an empty collision shape: the mesh of link '{link}' has no "
+                "triangles; give it one with a surface, or leave the shape out."
+            )
+        frame = parse_origin(robot.path, collision.find("origin"))
+        yield CollisionShape(mesh.vertices @ frame[:3, :3].T + frame[:3, 3], mesh.faces, link)
 
 
 def largest_side(robot: Urdf, files: Mapping[str, bytes]) -> float:
@@ -62,7 +61,7 @@ def largest_side(robot: Urdf, files: Mapping[str, bytes]) -> float:
     return float(np.ptp(np.concatenate(corners), axis=0).max()) if corners else 0.0
 
 
-def _triangles(element: ET.Element, files: Mapping[str, bytes]) -> Mesh:
+def triangles(element: ET.Element, files: Mapping[str, bytes]) -> Mesh:
     """Return the triangles of a geometry of URDF, coincident vertices merged.
 
     Round shapes, Collada files and others are made by trimesh, which takes long to import.
@@ -105,27 +104,21 @@ CYLINDER_SIDES = 16
 CONCAVE = "concave"  # Attribute of a collision shape that Bullet takes as bare triangles, without an inside
 
 
-@dataclass(frozen=True)
-class ConvexPart:
-    """One convex part of a link."""
+def link_convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[tuple[str, Floats]]:
+    """Yield the convex parts of a robot's links: link, and corners (v, 3) [m] in its frame.
 
-    link: str
-    corners: Floats
-    """(v, 3) [m], link frame: the part is their hull."""
-
-
-def link_convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[ConvexPart]:
-    """Yield the convex parts of a robot's links; `files` holds its meshes by their names in it."""
+    Each part is the hull of its corners; `files` holds the robot's meshes by their names in it.
+    """
     for link in robot.element.findall("link"):
         for collision in link.findall("collision"):
-            for corners in _collision_corners(robot, collision, files):
-                yield ConvexPart(link.get("name", ""), corners)
+            for corners in part_corners(robot, collision, files):
+                yield link.get("name", ""), corners
 
 
 def is_all_convex(robot: Urdf, files: Mapping[str, bytes]) -> bool:
     """Return whether every collision shape of a robot has convex parts."""
     shapes = robot.element.iterfind("link/collision")
-    return all(any(True for _ in _collision_corners(robot, shape, files)) for shape in shapes)
+    return all(any(True for _ in part_corners(robot, shape, files)) for shape in shapes)
 
 
 CONVEX_KINDS = ("box", "sphere", "cylinder", ".stl", ".obj")
@@ -146,7 +139,7 @@ def check_convex(gripper: SceneGripper) -> None:
                     )
 
 
-def _collision_corners(robot: Urdf, collision: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
+def part_corners(robot: Urdf, collision: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
     """Yield the corners (v, 3) of each part of a collision shape [m], link frame."""
     geometry = collision.find("geometry")
     if geometry is None or not len(geometry) or collision.get(CONCAVE) is not None:
@@ -175,8 +168,8 @@ def _geometry_corners(element: ET.Element, files: Mapping[str, bytes]) -> Iterat
     elif kind == ".obj":
         for corners in obj_group_corners(files[name].decode("utf-8", "replace")):
             yield corners * attribute_numbers(element, "scale", "1 1 1")
-    elif kind == ".stl" and (triangles := stl_triangles(files[name])) is not None:
-        yield np.unique(triangles.reshape(-1, 3), axis=0) * attribute_numbers(element, "scale", "1 1 1")
+    elif kind == ".stl" and (read := stl_triangles(files[name])) is not None:
+        yield np.unique(read.reshape(-1, 3), axis=0) * attribute_numbers(element, "scale", "1 1 1")
 
 
 def obj_group_corners(obj: str) -> Iterator[Floats]:

@@ -13,7 +13,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.geometry.rotation import Floats, dot
@@ -61,7 +60,7 @@ class HandGeometry:
         """The convex parts of each link, link frame; flat ones are left out."""
         parts = list(link_convex_parts(self.robot, self.gripper.meshes))
         return {
-            link: convex_hulls(part.corners for part in parts if part.link == link)
+            link: convex_hulls(corners for name, corners in parts if name == link)
             for link in self.robot.links
         }
 
@@ -86,10 +85,8 @@ class HandGeometry:
     @cached_property
     def link_meshes(self) -> dict[str, Mesh]:
         """The shapes of each link that has any, joined, in the link's frame [m]."""
-        found: dict[str, list[Mesh]] = {}
-        for shape in self.shapes:
-            found.setdefault(shape.link, []).append(Mesh(shape.vertices, shape.faces))
-        return {name: join(parts) for name, parts in found.items()}
+        names = dict.fromkeys(shape.link for shape in self.shapes)
+        return {name: join(shape for shape in self.shapes if shape.link == name) for name in names}
 
     def is_finger(self, shape: CollisionShape) -> bool:
         """Return whether the contact of a shape makes a success."""
@@ -111,6 +108,8 @@ class HandGeometry:
         `base_to_object` (..., 7) is position [m] and quaternion xyzw of the hand's root link, `joints`
         (..., j) are finger joint positions [rad or m].
         """
+        from scipy.spatial.transform import Rotation  # slow to import
+
         positions = dict(zip(self._joints, np.moveaxis(joints, -1, 0), strict=True))
         base = np.tile(np.eye(4), (*base_to_object.shape[:-1], 1, 1))
         base[..., :3, :3] = Rotation.from_quat(base_to_object[..., 3:]).as_matrix()
@@ -187,12 +186,19 @@ class FreeJointLinks:
         return frames
 
 
-def neighbours(robot: Urdf) -> set[tuple[str, str]]:
-    """Return pairs of links, in order of name, with at most one moving joint between them."""
-    heads = {robot.root: robot.root}  # the first link of each link's rigid piece
-    carriers = {robot.root: robot.root}  # the first link of the piece that carries each
+def rigid_pieces(robot: Urdf) -> dict[str, str]:
+    """Return the first link of the rigid piece of each link."""
+    heads = {robot.root: robot.root}
     for joint in robot.joints_beyond(robot.root):
         heads[joint.child] = joint.child if joint.moves else heads[joint.parent]
+    return heads
+
+
+def neighbours(robot: Urdf) -> set[tuple[str, str]]:
+    """Return pairs of links, in order of name, with at most one moving joint between them."""
+    heads = rigid_pieces(robot)
+    carriers = {robot.root: robot.root}  # the first link of the piece that carries each
+    for joint in robot.joints_beyond(robot.root):
         carriers.setdefault(heads[joint.child], heads[joint.parent])
     return {
         (one, other)

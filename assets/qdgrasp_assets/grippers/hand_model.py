@@ -10,16 +10,16 @@ that are fixed to the palm are fingers too.
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, takewhile
 
 import numpy as np
 
 from qdgrasp_assets.geometry.mesh import Floats
-from qdgrasp_assets.grippers.collision_shapes import link_convex_parts, shapes
-from qdgrasp_assets.grippers.hand_geometry import neighbours
+from qdgrasp_assets.geometry.voxels import Hull, convex_hulls
+from qdgrasp_assets.grippers.collision_shapes import collision_shape, part_corners
+from qdgrasp_assets.grippers.hand_geometry import neighbours, rigid_pieces
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 from qdgrasp_protocol.errors import AssetError
 
@@ -92,88 +92,51 @@ def _root_leader(name: str, mimics: Mapping[str, MimicJoint]) -> MimicJoint:
     return follower
 
 
-PLANE_DECIMALS = 6  # Decimals to which equal half-spaces agree: triangles of the same face
+def is_deep(one: Hull, other: Hull, limit: float) -> bool:
+    """Return whether the largest ball in two parts has a diameter of at least `limit` [m].
 
-
-class ConvexSolid:
-    """The hull of corners (v, 3) [m], as half-spaces normal . x + offset <= 0."""
-
-    def __init__(self, corners: Floats) -> None:
-        self.low, self.high = corners.min(axis=0), corners.max(axis=0)
-        self.corners = corners
-        self.planes = np.zeros((0, 4))
-        """(p, 4); empty for a flat hull, which overlaps nothing."""
-        from scipy.spatial import ConvexHull, QhullError
-
-        with suppress(QhullError, ValueError):
-            planes = ConvexHull(corners).equations
-            _, first = np.unique(planes.round(PLANE_DECIMALS), axis=0, return_index=True)
-            self.planes = planes[np.sort(first)]
-
-    def moved(self, frame: Floats) -> "ConvexSolid":
-        """Return the hull moved by `frame` (4, 4)."""
-        solid = object.__new__(ConvexSolid)
-        solid.corners = self.corners @ frame[:3, :3].T + frame[:3, 3]
-        solid.low, solid.high = solid.corners.min(axis=0), solid.corners.max(axis=0)
-        normals = self.planes[:, :3] @ frame[:3, :3].T
-        solid.planes = np.column_stack([normals, self.planes[:, 3] - normals @ frame[:3, 3]])
-        return solid
-
-    def grown(self, distance: float) -> "ConvexSolid":
-        """Return the hull with its planes moved outward by `distance` [m]; its corners stay."""
-        solid = object.__new__(ConvexSolid)
-        solid.corners, solid.low, solid.high = self.corners, self.low - distance, self.high + distance
-        solid.planes = self.planes - [0.0, 0.0, 0.0, distance]
-        return solid
-
-    def is_deep(self, other: "ConvexSolid", limit: float) -> bool:
-        """Return whether the largest ball in both has a diameter of at least `limit` [m].
-
-        Most pairs are decided without the linear programme of `depth`: where all corners of one are within
-        `limit` of a plane of the other, or before it, no such ball fits between.
-        """
-        if (np.minimum(self.high, other.high) - np.maximum(self.low, other.low) < limit).any():
+    Most pairs are decided without the linear programme of `depth`: where all corners of one are within
+    `limit` of a plane of the other, or before it, no such ball fits between.
+    """
+    if (np.minimum(one.high, other.high) - np.maximum(one.low, other.low) < limit).any():
+        return False
+    for first, second in ((one, other), (other, one)):
+        heights = (first.normals @ second.corners.T).min(axis=1) + first.planes[:, 3]
+        if (heights > -limit).any():
             return False
-        for one, another in ((self, other), (other, self)):
-            if not len(one.planes):
-                return False
-            heights = (one.planes[:, :3] @ another.corners.T).min(axis=1) + one.planes[:, 3]
-            if (heights > -limit).any():
-                return False
-        return self.depth(other) >= limit
-
-    def depth(self, other: "ConvexSolid") -> float:
-        """Return the diameter of the largest ball that is in both [m]; 0 where they are apart."""
-        if (self.low > other.high).any() or (other.low > self.high).any():
-            return 0.0
-        if not len(self.planes) or not len(other.planes):
-            return 0.0
-        from scipy.optimize import linprog  # takes a tenth of a second, and most commands look at no hand
-
-        planes = np.concatenate([self.planes, other.planes])
-        found = linprog(
-            [0.0, 0.0, 0.0, -1.0],
-            A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]),
-            b_ub=-planes[:, 3],
-            bounds=[(None, None)] * 3 + [(0.0, None)],
-            method="highs",
-        )
-        return float(2 * found.x[3]) if found.x is not None else 0.0
+    return depth(one, other) >= limit
 
 
-def overlap_depth(ours: Iterable[ConvexSolid], theirs: Iterable[ConvexSolid]) -> float:
+def depth(one: Hull, other: Hull) -> float:
+    """Return the diameter of the largest ball that is in two parts [m]; 0 where they are apart."""
+    if (one.low > other.high).any() or (other.low > one.high).any():
+        return 0.0
+    from scipy.optimize import linprog  # takes a tenth of a second, and most commands look at no hand
+
+    planes = np.concatenate([one.planes, other.planes])
+    found = linprog(
+        [0.0, 0.0, 0.0, -1.0],
+        A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]),
+        b_ub=-planes[:, 3],
+        bounds=[(None, None)] * 3 + [(0.0, None)],
+        method="highs",
+    )
+    return float(2 * found.x[3]) if found.x is not None else 0.0
+
+
+def overlap_depth(ours: Iterable[Hull], theirs: Iterable[Hull]) -> float:
     """Return the greatest depth of any of our parts in any of theirs [m]."""
     theirs = tuple(theirs)
-    return max((one.depth(other) for one in ours for other in theirs), default=0.0)
+    return max((depth(one, other) for one in ours for other in theirs), default=0.0)
 
 
-def are_deep(ours: Iterable[ConvexSolid], theirs: Iterable[ConvexSolid], limit: float) -> bool:
+def are_deep(ours: Iterable[Hull], theirs: Iterable[Hull], limit: float) -> bool:
     """Return whether any of our parts is at least `limit` deep in any of theirs [m]."""
     theirs = tuple(theirs)
-    return any(one.is_deep(other, limit) for one in ours for other in theirs)
+    return any(is_deep(one, other, limit) for one in ours for other in theirs)
 
 
-def ray_exit(parts: Iterable[ConvexSolid], direction: Floats) -> float | None:
+def ray_exit(parts: Iterable[Hull], direction: Floats) -> float | None:
     """Return the distance along `direction` (3,) at which a ray leaves the last part [m].
 
     The ray starts at the origin; None where it meets no part. It is in a part between the last plane that it
@@ -187,7 +150,7 @@ def ray_exit(parts: Iterable[ConvexSolid], direction: Floats) -> float | None:
         enters = max(ways[slopes < 0], default=-np.inf)
         leaves = min(ways[slopes > 0], default=np.inf)
         is_beside = bool((heights[slopes == 0] > 0).any())
-        if len(part.planes) and not (is_beside or enters > leaves or leaves < 0):
+        if not (is_beside or enters > leaves or leaves < 0):
             exits.append(float(leaves))
     return max(exits, default=None)
 
@@ -198,7 +161,7 @@ class HandModel:
 
     robot: Urdf
     """URDF from the base link outward."""
-    parts: Mapping[str, tuple[ConvexSolid, ...]]
+    parts: Mapping[str, tuple[Hull, ...]]
     """The convex parts of each link, link frame; links without any are left out."""
 
     @cached_property
@@ -214,10 +177,7 @@ class HandModel:
     @cached_property
     def rigid_piece(self) -> dict[str, str]:
         """First link of the rigid piece of each link."""
-        pieces = {self.robot.root: self.robot.root}
-        for joint in self.robot.joints_beyond(self.robot.root):
-            pieces[joint.child] = joint.child if joint.moves else pieces[joint.parent]
-        return pieces
+        return rigid_pieces(self.robot)
 
     @cached_property
     def _neighbours(self) -> set[tuple[str, str]]:
@@ -229,7 +189,7 @@ class HandModel:
 
     def parts_at(
         self, posture: Mapping[str, float], links: Iterable[str] | None = None
-    ) -> dict[str, tuple[ConvexSolid, ...]]:
+    ) -> dict[str, tuple[Hull, ...]]:
         """Return the parts of some links, or of all, base link's frame; `posture` names followers."""
         frames = self.robot.forward(posture)
         return {
@@ -262,11 +222,10 @@ class HandModel:
 def read_hand_model(robot: Urdf, base: str) -> HandModel:
     """Read the hand that begins with link `base`; errors as in `collision_corners`."""
     hand = robot.subtree(base)
-    parts: dict[str, tuple[ConvexSolid, ...]] = {}
+    parts: dict[str, tuple[Hull, ...]] = {}
     for link, collision in collision_elements(hand):
-        parts[link] = parts.get(link, ()) + tuple(
-            ConvexSolid(corners) for corners in collision_corners(hand, link, collision)
-        )
+        if hulls := convex_hulls(collision_corners(hand, link, collision)):
+            parts[link] = (*parts.get(link, ()), *hulls)
     return HandModel(hand, parts)
 
 
@@ -282,13 +241,11 @@ def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Fl
 
     Raises `AssetError` if its mesh is missing, cannot be read, or is empty; or its form is none of URDF's.
     """
-    alone = ET.Element("robot")
-    ET.SubElement(alone, "link", name=link).append(collision)
-    element, files = replace(robot, element=alone, joints=()).bundled()
-    shape = replace(robot, element=element, joints=())
+    names = [mesh.get("filename", "") for mesh in collision.iter("mesh")]
+    files = {name: robot.mesh(name) for name in names}
     try:
-        found = tuple(part.corners for part in link_convex_parts(shape, files))
-        return found or tuple(each.vertices for each in shapes(shape, files))
+        found = tuple(part_corners(robot, collision, files))
+        return found or tuple(each.vertices for each in collision_shape(robot, link, collision, files))
     except AssetError:
         raise
     except Exception as error:  # noqa: BLE001  # readers of meshes raise errors of any kind
@@ -296,18 +253,6 @@ def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Fl
             f"a collision shape of the link '{link}' cannot be read ({type(error).__name__}: {error}); "
             "save its mesh as a binary STL or an OBJ file"
         ) from None
-
-
-def mesh_bytes(robot: Urdf, name: str) -> bytes:
-    """Return the content of a mesh that a robot names; `AssetError` if it cannot be read."""
-    element = ET.Element("robot")
-    link = ET.SubElement(element, "link", name="")
-    ET.SubElement(ET.SubElement(ET.SubElement(link, "collision"), "geometry"), "mesh", filename=name)
-    try:
-        _, files = replace(robot, element=element, links=(), joints=()).bundled()
-    except OSError as error:
-        raise AssetError(f"The mesh '{name}' of '{robot.path}' cannot be read: {error.strerror}.") from None
-    return next(iter(files.values()))
 
 
 LARGEST_HAND = 0.5  # A hand's joints are not farther apart than this [m]
@@ -351,13 +296,11 @@ def _spread(robot: Urdf, base: str) -> float:
 
 def _rigid_root(robot: Urdf, link: str) -> str:
     """Return the first link with a shape that `link` is fixed to, unless an arm carries it."""
-    arriving = {joint.child: joint for joint in robot.joints}
     shaped = {
         each.get("name") for each in robot.element.findall("link") if each.find("collision") is not None
     }
-    chain = [link]
-    while chain[-1] in arriving and not arriving[chain[-1]].moves:
-        chain.append(arriving[chain[-1]].parent)
+    fixed = takewhile(lambda joint: not joint.moves, robot.inward(link))
+    chain = [link, *(joint.parent for joint in fixed)]
     is_free = chain[-1] == robot.root
     return next((each for each in reversed(chain) if each in shaped), link) if is_free else link
 
@@ -404,7 +347,7 @@ def find_fingers(
 
 
 PINNED = 1e-6  # Depth from which limbs overlap that are pinned together [m]
-Placed = list[dict[str, tuple[ConvexSolid, ...]]]
+Placed = list[dict[str, tuple[Hull, ...]]]
 """The parts of all links, base link's frame, in some postures."""
 
 
@@ -440,10 +383,8 @@ def fixed_limbs(body: HandModel) -> tuple[str, ...]:
     moving = [name for name in moving_limbs(body.robot, body.robot.root) if _limb(body, name).links]
     if len(moving) != 1:
         return ()
-    arriving = {joint.child: joint.parent for joint in body.robot.joints}
-    way = [body.joint(moving[0]).parent]
-    while way[-1] in arriving:
-        way.append(arriving[way[-1]])
+    first = body.joint(moving[0]).parent
+    way = {first, *(joint.parent for joint in body.robot.inward(first))}
     beside = [joint for joint in body.robot.joints if joint.parent in way and joint.child not in way]
     return tuple(joint.name for joint in beside if not joint.moves and _limb(body, joint.name).links)
 

@@ -9,7 +9,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -136,26 +136,38 @@ class Urdf:
         """Return the robot for physics, and the mesh files that it needs by flat name.
 
         Visual shapes are left out and mesh references rewritten to the flat names; all else is unchanged.
-        Raises `AssetError` if a mesh, of a visual shape too, is missing.
+        Errors of `mesh`.
         """
-        element = copy.deepcopy(self.element)
-        files: dict[str, Path] = {name: Path(name) for name in self.meshes}
-        for name in (mesh.get("filename", "") for mesh in element.iter("mesh")):
-            if name in files:
-                continue
-            found = next((place for place in _mesh_places(self.path, name) if place.is_file()), None)
-            if found is None:
-                raise AssetError(f"The URDF '{self.path}' refers to the mesh '{name}', which does not exist.")
-            files[name] = found
+        element, flat = copy.deepcopy(self.element), dict[str, str]()
         drop_visuals(element)
-        flat: dict[str, str] = {}
         for mesh in element.iter("mesh"):
             name = mesh.get("filename", "")
-            mesh.set("filename", flat.setdefault(name, f"{len(flat)}_{files[name].name}"))
-        return element, {
-            new: self.meshes[name] if name in self.meshes else _mesh_bytes(files[name])
-            for name, new in flat.items()
-        }
+            mesh.set("filename", flat.setdefault(name, f"{len(flat)}_{PurePosixPath(name).name}"))
+        return element, {new: self.mesh(name) for name, new in flat.items()}
+
+    def mesh(self, name: str) -> bytes:
+        """Return a mesh that it names, OBJ without materials; `AssetError` if it cannot be read."""
+        if name in self.meshes:
+            return self.meshes[name]
+        found = next((place for place in _mesh_places(self.path, name) if place.is_file()), None)
+        if found is None:
+            raise AssetError(f"The URDF '{self.path}' refers to the mesh '{name}', which does not exist.")
+        try:
+            lines = found.read_bytes().splitlines(keepends=True)
+        except OSError as error:
+            raise AssetError(
+                f"The mesh '{name}' of '{self.path}' cannot be read: {error.strerror}."
+            ) from None
+        is_text = found.suffix.lower() == ".obj"
+        looks = (b"mtllib", b"usemtl", b"#") if is_text else ()
+        return b"".join(line for line in lines if not line.startswith(looks))
+
+    def inward(self, link: str) -> Iterator[UrdfJoint]:
+        """Yield the joints between a link and the root, from the link inward."""
+        arriving = {joint.child: joint for joint in self.joints}
+        while link in arriving:
+            yield arriving[link]
+            link = arriving[link].parent
 
 
 def read_urdf(path: Path) -> Urdf:
@@ -254,15 +266,6 @@ def _transform(rotation: Floats, translation: Floats) -> Floats:
     transform = np.tile(np.eye(4), (*batch, 1, 1))
     transform[..., :3, :3], transform[..., :3, 3] = rotation, translation
     return transform
-
-
-def _mesh_bytes(path: Path) -> bytes:
-    """Return a mesh's content; OBJ without materials, which the bundle does not have."""
-    content = path.read_bytes()
-    if path.suffix.lower() != ".obj":
-        return content
-    lines = content.splitlines(keepends=True)
-    return b"".join(line for line in lines if not line.startswith((b"mtllib", b"usemtl", b"#")))
 
 
 def _mesh_places(urdf: Path, name: str) -> Iterator[Path]:

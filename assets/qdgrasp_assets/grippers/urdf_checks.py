@@ -13,7 +13,7 @@ import numpy as np
 from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import stl_triangles
 from qdgrasp_assets.grippers.collision_shapes import FORMS
-from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elements, mesh_bytes
+from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elements
 from qdgrasp_assets.grippers.urdf import Urdf, joint_end
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.text import first_few, quoted
@@ -257,7 +257,7 @@ def missing_meshes(hand: Urdf) -> tuple[str, ...]:
     faults = []
     for name, links in _references(hand).items():
         try:
-            mesh_bytes(hand, name)
+            hand.mesh(name)
         except AssetError:
             whose = f"of the link{'s' * (len(links) > 1)} {', '.join(quoted(links))}"
             faults.append(f"the mesh '{name}' {whose} {_missing_mesh(hand, name)}")
@@ -318,7 +318,7 @@ def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
             f"{mesh} is a {_suffix(name) or 'nondescript'} file, and the simulator reads "
             f"{', '.join(SIMULATOR_FORMATS)}: save it as one, or use --repair"
         )
-    if _suffix(name) == ".stl" and stl_triangles(mesh_bytes(hand, name)) is None:
+    if _suffix(name) == ".stl" and stl_triangles(hand.mesh(name)) is None:
         return f"{mesh} is no binary STL file, which alone the simulator reads: save it so, or use --repair"
     try:
         corners = np.concatenate([np.zeros((0, 3)), *collision_corners(hand, link, shape)])

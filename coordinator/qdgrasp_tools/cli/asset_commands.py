@@ -16,7 +16,7 @@ import typer
 
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_paths import named_path, path_problem
-from qdgrasp_assets.asset_report import AssetReport, AssetSummary, ObjectReport, inspect_object
+from qdgrasp_assets.asset_report import AssetReport, ObjectReport, inspect_object
 from qdgrasp_assets.asset_report import check as check_asset
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
@@ -170,7 +170,7 @@ def resting_poses_of(
         echo(f"{number:>4} {pose.probability:>11.3f}  {up:<22} {-pose.height:>10.4f}")
 
 
-def _lines(report: AssetSummary) -> Iterable[str]:
+def _lines(report: AssetReport) -> Iterable[str]:
     if report.facts or not report.faults:
         yield f"{'WRONG' if report.faults else 'ok':<5} {report.name}: {', '.join(report.facts)}"
     for fault in report.faults:

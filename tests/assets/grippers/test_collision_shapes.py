@@ -26,7 +26,7 @@ TWO = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n{0} one\nf 1 2 3\nf 1/1 2/2/2 4//4\nv
 
 def parts_of(geometry, files=None, origin="", attributes=""):
     robot = parse_robot(Path("one"), ElementTree.fromstring(LINK.format(attributes, origin, geometry)))  # noqa: S314 - written above
-    return list(link_convex_parts(robot, files or {}))
+    return [corners for _, corners in link_convex_parts(robot, files or {})]
 
 
 @pytest.mark.parametrize("gripper", ["panda", "barrett", "allegro", "shadow", "robotiq_2f"])
@@ -35,25 +35,25 @@ def test_the_parts_of_a_hand_lie_within_its_shapes_and_nearly_fill_them(gripper)
     robot = parse_robot(Path(), ElementTree.fromstring(hand.urdf))  # noqa: S314 - our own
     expected = [(shape.link, ConvexHull(shape.vertices)) for shape in shapes(robot, hand.meshes)]
     found = list(link_convex_parts(robot, hand.meshes))
-    assert [part.link for part in found] == [link for link, _ in expected]
-    for part, (_, hull) in zip(found, expected, strict=True):
-        heights = part.corners @ hull.equations[:, :3].T + hull.equations[:, 3]
+    assert [link for link, _ in found] == [link for link, _ in expected]
+    for (_, corners), (_, hull) in zip(found, expected, strict=True):
+        heights = corners @ hull.equations[:, :3].T + hull.equations[:, 3]
         assert heights.max() < 1e-4
-        assert 0.9 * hull.volume < ConvexHull(part.corners).volume < 1.01 * hull.volume
+        assert 0.9 * hull.volume < ConvexHull(corners).volume < 1.01 * hull.volume
 
 
 def test_round_shapes_have_their_corners_on_them() -> None:
     [cylinder] = parts_of('<cylinder radius="2" length="6"/>')
-    np.testing.assert_allclose(np.hypot(*cylinder.corners[:, :2].T), 2)
-    np.testing.assert_allclose(np.abs(cylinder.corners[:, 2]), 3)
+    np.testing.assert_allclose(np.hypot(*cylinder[:, :2].T), 2)
+    np.testing.assert_allclose(np.abs(cylinder[:, 2]), 3)
     [sphere] = parts_of('<sphere radius="3"/>')
-    np.testing.assert_allclose(np.linalg.norm(sphere.corners, axis=1), 3)
+    np.testing.assert_allclose(np.linalg.norm(sphere, axis=1), 3)
 
 
 def test_an_stl_is_one_part_with_its_scale() -> None:
     files = {"thing.STL": trimesh.Trimesh(TETRAHEDRON, [(0, 1, 2), (0, 1, 3)]).export(file_type="stl")}
     [part] = parts_of('<mesh filename="thing.STL" scale="1 2 3"/>', files)
-    assert {tuple(corner) for corner in part.corners} == {(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)}
+    assert {tuple(corner) for corner in part} == {(0, 0, 0), (1, 0, 0), (0, 2, 0), (0, 0, 3)}
 
 
 @pytest.mark.parametrize("word", ["o", "g"])
