@@ -158,7 +158,6 @@ def render(
         ),
     ],
     grasp: Annotated[int, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")],
-    trial: Annotated[int | None, typer.Option(min=0, help="Show this trial of the grasp instead.")] = None,
     size: Annotated[
         str | None,
         typer.Option(
@@ -187,7 +186,7 @@ def render(
     output = OutFile(out, suffixes=(".png", ".gif"), force=force)
     output.check()
     pixels = PICTURE_SIZE if size is None else _picture_size(size)
-    shown = replay_target(RunFolder.open(directory), grasp, trial)
+    shown = replay_target(RunFolder.open(directory), grasp)
     echo(f"replaying row {shown.number} of {directory}", err=True)
     with lifetime("qdgrasp render") as stop:
         unlike = write_evaluation(shown, pixels, output, stop)

@@ -46,8 +46,8 @@ class ObjectFrame:
     """(3,) [m]: the centre of mass in the frame of the mesh, as scaled."""
     scale: float
     """Factor of the lengths in its mesh file, to metres."""
-    extents: Floats | None = None
-    """(3,) [m]: sides of its bounding box; None: unknown."""
+    extents: Floats
+    """(3,) [m]: sides of its bounding box."""
 
 
 def hand_named(name: str) -> SceneGripper:
@@ -230,19 +230,16 @@ def _other_hand(imported: GraspTable, hand: SceneGripper) -> str:
     return f"The file has poses{link}{owner}"
 
 
-def _com_shift(metadata: GraspMetadata, body: ObjectFrame) -> float:
-    """Return how far the centre of mass of a file's object is from that of another one [m]."""
-    return float(np.abs(np.array(metadata.com_in_mesh) - body.com_in_mesh).max())
-
-
 def _object_mismatches(metadata: GraspMetadata, body: ObjectFrame) -> Iterator[str]:
     """Yield in which ways a file is of another object, by its size and centre of mass."""
     name, size = metadata.object, metadata.object_size
-    largest = float(np.max(size if body.extents is None else body.extents))
-    if body.extents is not None and np.abs(body.extents - size).max() > SAME_OBJECT * largest:
+    largest = float(body.extents.max())
+    if np.abs(body.extents - size).max() > SAME_OBJECT * largest:
         here, there = (" x ".join(f"{side:.4f}" for side in each) for each in (body.extents, size))
         yield f"The object '{name}' of the file is {there} m large, and the one named here {here} m."
-    if _com_shift(metadata, body) > max(SAME_OBJECT * largest, POSE_TOLERANCE):
+    if np.abs(np.array(metadata.com_in_mesh) - body.com_in_mesh).max() > max(
+        SAME_OBJECT * largest, POSE_TOLERANCE
+    ):
         yield (
             f"The object '{name}' of the file has its centre of mass elsewhere in its mesh, "
             "so it is not the same object."

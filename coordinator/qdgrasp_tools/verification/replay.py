@@ -26,7 +26,6 @@ from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
-from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.platforms import platform_differences
 from qdgrasp_coordinator.storage.run_folder import Provenance, RunFolder, provenance
@@ -84,40 +83,21 @@ class ReplayTarget:
         return tuple(as_given(self.scene, prior, self.row.reshape(1))[0].tolist())
 
 
-def replay_target(folder: RunFolder, number: int, trial: int | None = None) -> ReplayTarget:
-    """Find a row by its number in a folder's journal, or one of the trials of its genome.
+def replay_target(folder: RunFolder, number: int) -> ReplayTarget:
+    """Find a row by its number in a folder's journal.
 
-    Raises InputError if there is no such row or trial, or no pose of it to show, and FolderError if the
-    folder cannot be read.
+    Raises InputError if there is no such row, or no pose of it to show, and FolderError if the folder cannot
+    be read.
     """
     with folder.journal() as journal:
         row = row_at(folder, journal, number)
         found_by = provenance(folder, journal)
-        if trial is not None and trial != row["trial"]:
-            number, row = _trial_of(journal, number, row, trial)
         if not row["base_to_object"].any():
             why = "it is a dead end, for which decoding found no pose"
             if row["outcome"] == Outcome.ERROR:
                 why = f"its evaluation failed: {journal.errors().get(number, 'why is not recorded')}"
             raise InputError(f"There is nothing of row {number} to show: {why}.")
-    scene = folder.scene()
-    return ReplayTarget(number, row, found_by, scene, folder.bundle())
-
-
-def _trial_of(journal: Journal, number: int, row: np.void, trial: int) -> tuple[int, np.void]:
-    first = recorded = 0
-    for rows in journal.blocks():
-        is_its = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
-        for place in np.flatnonzero(is_its).tolist():
-            recorded = max(recorded, int(rows["trial"][place]))
-            if rows["trial"][place] == trial:
-                return first + place, rows[place]
-        first += len(rows)
-    there = f"trials 1 to {recorded} are" if recorded else "no trial is"
-    raise InputError(
-        f"Trial {trial} of row {number} is not recorded: {there}; only successes of a run under the protocol "
-        "robust, or of a rerank, have any."
-    )
+    return ReplayTarget(number, row, found_by, folder.scene(), folder.bundle())
 
 
 REPLAY_MODULE = "qdgrasp_worker.replay"

@@ -7,7 +7,6 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from msgspec import Struct, structs
@@ -227,18 +226,6 @@ class EngineComparison(Struct, frozen=True, kw_only=True):
     file: str
     """The table of all rows that were judged."""
 
-    @classmethod
-    def of(cls, engine: str, recorded: Rows, now: Rows, *, failed: int, file: Path) -> "EngineComparison":
-        """Compare rows (n,) as recorded with the same ones as judged by the other engine."""
-        outcomes: dict[str, dict[str, int]] = {}
-        pairs = Counter(zip(recorded["outcome"].tolist(), now["outcome"].tolist(), strict=True))
-        for (before, after), number in sorted(pairs.items(), reverse=True):
-            outcomes.setdefault(Outcome(before).name.lower(), {})[Outcome(after).name.lower()] = number
-        same = int(((recorded["outcome"] >= Outcome.HELD) == (now["outcome"] >= Outcome.HELD)).sum())
-        return cls(
-            engine=engine, rows=len(now), failed=failed, same_verdict=same, outcomes=outcomes, file=str(file)
-        )
-
     @property
     def table(self) -> str:
         """Lines for a person."""
@@ -296,4 +283,12 @@ def compare_engine(
         raise InputError(f"{engine} failed on every success of {folder.path}; `qdgrasp run` in it tells why.")
     recorded, now = found.rows[judged], memory.rows[judged]
     table = write_table(folder, engine, found.numbers[judged], recorded, now)
-    return EngineComparison.of(engine, recorded, now, failed=int((~judged).sum()), file=table)
+    outcomes: dict[str, dict[str, int]] = {}
+    pairs = Counter(zip(recorded["outcome"].tolist(), now["outcome"].tolist(), strict=True))
+    for (before, after), number in sorted(pairs.items(), reverse=True):
+        outcomes.setdefault(Outcome(before).name.lower(), {})[Outcome(after).name.lower()] = number
+    same = int(((recorded["outcome"] >= Outcome.HELD) == (now["outcome"] >= Outcome.HELD)).sum())
+    failed = int((~judged).sum())
+    return EngineComparison(
+        engine=engine, rows=len(now), failed=failed, same_verdict=same, outcomes=outcomes, file=str(table)
+    )

@@ -125,5 +125,5 @@ def panda() -> Callable[..., ImportedPoses]:
     """Reads a file for the Panda hand, on an object whose centre of mass is at `COM`."""
     hand = hand_named("panda")
     return lambda path, **settings: importer.import_poses(
-        path, hand, ObjectFrame(foreign_files.COM, 1.0), **settings
+        path, hand, ObjectFrame(foreign_files.COM, 1.0, np.ones(3)), **settings
     )

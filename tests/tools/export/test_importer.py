@@ -136,7 +136,7 @@ def test_what_was_damaged_anywhere_is_read_or_refused(run: RunFolder, tmp_path: 
         first, (gone, come) = int(random.integers(len(content))), random.integers(0, 30, 2).tolist()
         (tmp_path / "damaged").write_bytes(content[:first] + random.bytes(come) + content[first + gone :])
         try:
-            importer.import_poses(tmp_path / "damaged", hand, ObjectFrame(COM, 1.0))
+            importer.import_poses(tmp_path / "damaged", hand, ObjectFrame(COM, 1.0, np.ones(3)))
         except InputError:
             refused += 1
     assert refused > 3

@@ -58,21 +58,9 @@ def test_its_scene_comes_with_it(folder: RunFolder) -> None:
     assert (found.scene.object.name, found.found_by.spec.method) == ("block", "me_scs")
 
 
-def test_a_trial_is_found_by_its_number(repeated: RunFolder) -> None:
-    found = replay_target(repeated, 1, trial=2)
+def test_a_trial_is_a_row_too(repeated: RunFolder) -> None:
+    found = replay_target(repeated, 6)
     assert (found.number, found.trial, found.row["index"]) == (6, 2, 1)
-    assert replay_target(repeated, 6).trial == 2
-    assert replay_target(repeated, 6, trial=0).number == 1
-
-
-def test_a_trial_that_is_not_recorded_is_refused(repeated: RunFolder) -> None:
-    with pytest.raises(InputError, match="Trial 4 of row 1 is not recorded: trials 1 to 3 are;"):
-        replay_target(repeated, 1, trial=4)
-
-
-def test_a_run_without_trials_has_none(folder: RunFolder) -> None:
-    with pytest.raises(InputError, match="Trial 1 of row 1 is not recorded: no trial is;"):
-        replay_target(folder, 1, trial=1)
 
 
 @pytest.mark.parametrize(("number", "why"), [(2, "a dead end"), (3, "its evaluation failed")])
