@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from itertools import chain
 from pathlib import Path
 from typing import Protocol, TypeAlias, Unpack
 
@@ -152,7 +153,9 @@ def optimise(
     place.check_engine(spec)
     is_there = _is_there(path, spec, resume=resume)
     prepared = RunFolder(path).prepared_scene() if is_there else prepare_scene(spec)
-    searches = SearchFactory(make, layout_of(prepared.scene, prior))
+    genes = layout_of(prepared.scene, prior)
+    # the first is made before there is a folder, and a new one each time that the run begins again
+    searches = chain([CheckedSearch(make, genes)], iter(lambda: CheckedSearch(make, genes), None))
     shows: AbstractContextManager[ProgressDisplay] = (
         progress_display(path.name, spec.evaluations) if progress else nullcontext(SilentProgress())
     )
@@ -171,25 +174,12 @@ def optimise(
             session.start_recorder(folder.path)
             session.start_workers(place.hands)
             session.coordinate(
-                SingleRunQueue(lambda: plan_run(spec, prepared, search=searches.next()), spec.evaluations),
+                SingleRunQueue(lambda: plan_run(spec, prepared, search=next(searches)), spec.evaluations),
                 lambda run: RecorderClient(session.bus, session.job, run.shape),
                 Stop(),
                 place.batch_size,
             )
     return Run(path)
-
-
-class SearchFactory:
-    """Makes a new search each time that the run begins, the first one at once."""
-
-    def __init__(self, make: Make, layout: Layout) -> None:
-        self._make = make
-        self._layout = layout
-        self._made = [CheckedSearch(make, layout)]
-
-    def next(self) -> CheckedSearch:
-        """Return a search that was not asked yet."""
-        return self._made.pop() if self._made else CheckedSearch(self._make, self._layout)
 
 
 def _is_there(path: Path, spec: RunSpec, *, resume: bool) -> bool:

@@ -23,7 +23,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from qdgrasp_coordinator.storage.outputs import OutFolder
 from qdgrasp_protocol import session
 from qdgrasp_protocol.errors import ImpossibleValue, SecurityError
-from qdgrasp_protocol.keys import NAME, AnyJob, patterns_intersect
+from qdgrasp_protocol.keys import NAME, AnyJob, matches
 from qdgrasp_protocol.messages import MAX_PAYLOAD
 from qdgrasp_protocol.session import PORT, Credentials, Endpoint, Role, session_settings
 
@@ -125,7 +125,7 @@ def _rules(role: Role) -> Iterator[dict[str, Any]]:
         given = [flow.key for flow in flows if role in flow.givers]
         taken = [flow.key for flow in flows if role in flow.takers]
         heard = [flow.key for flow in flows if flow.takers]
-        takers = [key for key in heard if any(patterns_intersect(key, each) for each in given)]
+        takers = [key for key in heard if any(matches(key, each) for each in given)]
         sides = (
             ("gives", GIVEN[kind], "ingress", given),
             ("is taken from", TAKEN[kind], "egress", takers),

@@ -127,13 +127,11 @@ def parse_number(text: str) -> int | None:
 
 
 def matches(pattern: str, key: str) -> bool:
-    """Return whether a key matches a pattern: `*` one chunk, `**` any number, neither `@...`."""
-    return patterns_intersect(pattern, key)
+    """Return whether a key, or one of those of another pattern, matches a pattern.
 
-
-def patterns_intersect(one: str, other: str) -> bool:
-    """Return whether a key exists that both patterns match."""
-    return _intersect(one.split("/"), other.split("/"))
+    `*` stands for one chunk, `**` for any number, neither for `@...`.
+    """
+    return _intersect(pattern.split("/"), key.split("/"))
 
 
 def _intersect(one: list[str], other: list[str]) -> bool:

@@ -27,7 +27,7 @@ from qdgrasp_protocol.bus import (
     reply_error,
 )
 from qdgrasp_protocol.errors import BusError, NoReply
-from qdgrasp_protocol.keys import matches, patterns_intersect
+from qdgrasp_protocol.keys import matches
 
 log = structlog.get_logger()
 
@@ -152,7 +152,7 @@ class MemoryBus(Bus):
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
         """Query all matching keys."""
         answerers, query = self._visible(Kind.QUERYABLE), Query(pattern, "", b"")
-        answers = [_query(each, query) for each in answerers if patterns_intersect(each.pattern, pattern)]
+        answers = [_query(each, query) for each in answerers if matches(each.pattern, pattern)]
         answered, _ = wait(answers, timeout)
         found = [answer.result() for answer in answers if answer in answered and not answer.exception()]
         return {key: value for values in found for key, value in values.items() if matches(pattern, key)}

@@ -254,8 +254,6 @@ class ChildProcess:
     arguments: Arguments
     log: Path | None
     """Log file; None: this process's standard error."""
-    core: int | None
-    """Core that it is pinned to; None: any."""
     policy: RestartPolicy
     process: subprocess.Popen[bytes] = field(init=False)
     log_start: int = field(init=False)
@@ -267,7 +265,7 @@ class ChildProcess:
         """Start its process, for the first time or again."""
         self.log_start = self.log.stat().st_size if self.log is not None and self.log.exists() else 0
         command = [sys.executable, "-m", self.module, *self.arguments()]
-        self.process = _start(command, self.log, self.core)
+        self.process = _start(command, self.log)
         self.policy.on_start(now)
         self.restart_at = None
 
@@ -302,10 +300,8 @@ class ProcessSupervisor:
         """Most seconds that a process may be given to stop."""
         return max(0.0, self._grace - GRACE_MARGIN)
 
-    def start(
-        self, name: str, module: str, arguments: Iterable[str] | Arguments, core: int | None = None
-    ) -> None:
-        """Start `python -m module arguments` as the process `name`, on one core or on any.
+    def start(self, name: str, module: str, arguments: Iterable[str] | Arguments) -> None:
+        """Start `python -m module arguments` as the process `name`.
 
         A function as arguments is called before each start.
         """
@@ -314,7 +310,7 @@ class ProcessSupervisor:
         log = None if self._logs is None else self._logs / f"{name}.log"
         fixed = [] if callable(arguments) else list(arguments)
         function = arguments if callable(arguments) else lambda: fixed
-        child = ChildProcess(name, module, function, log, core, RestartPolicy(self._steady))
+        child = ChildProcess(name, module, function, log, RestartPolicy(self._steady))
         child.start(time.monotonic())
         self._children[name] = child
 
@@ -394,23 +390,11 @@ class ProcessSupervisor:
                 process.stdin.close()
 
 
-def _start(command: list[str], log: Path | None, core: int | None) -> subprocess.Popen[bytes]:
+def _start(command: list[str], log: Path | None) -> subprocess.Popen[bytes]:
     """Start a process that ends with this one; its own session keeps Ctrl-C from it."""
     environment = {**os.environ, **ONE_THREAD, SUPERVISED: "1"}
     environment.pop(SECURITY_VARIABLE, None)  # children are given the certificate folder by an option
-    with nullcontext() if log is None else log.open("ab") as file, _pinned_to(core):
+    with nullcontext() if log is None else log.open("ab") as file:
         return subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=file, stderr=file, start_new_session=True, env=environment
         )
-
-
-@contextmanager
-def _pinned_to(core: int | None) -> Iterator[None]:
-    """Pin this process to a core while it starts a child, which inherits that."""
-    cores = os.sched_getaffinity(0)
-    if core is not None:
-        os.sched_setaffinity(0, {core})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)

@@ -10,7 +10,6 @@ from qdgrasp_protocol.keys import (
     job_of,
     matches,
     parse_number,
-    patterns_intersect,
 )
 
 WID = "0123456789abcdef" * 2
@@ -81,4 +80,4 @@ PATTERNS = st.lists(CHUNKS | st.sampled_from(["*", "**"]), min_size=1, max_size=
 @given(PATTERNS, PATTERNS)
 def test_patterns_meet_as_in_zenoh(one: str, other: str) -> None:
     keys = [zenoh.KeyExpr.autocanonize(pattern) for pattern in (one, other)]
-    assert patterns_intersect(one, other) == keys[0].intersects(keys[1])
+    assert matches(one, other) == keys[0].intersects(keys[1])

@@ -10,7 +10,7 @@ from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 from typer.testing import CliRunner
 
-from qdgrasp_protocol.errors import EXTRAS, MissingPackage
+from qdgrasp_protocol.errors import EXTRAS, InputError
 from qdgrasp_tools.cli.main import app
 
 ROOT = Path(__file__).parents[2]
@@ -66,7 +66,7 @@ def test_a_feature_names_the_extra_that_it_needs_and_writes_nothing(
 
 
 def check_refusal(refused: BaseException | None, need: str, package: str, extra: str) -> None:
-    assert isinstance(refused, MissingPackage), refused
+    assert isinstance(refused, InputError), refused
     assert refused.exit_code == 2
     said = f"{need} needs {package}, which is not installed here; "
     assert said + f"install it with `pip install 'qdgrasp[{extra}]'`." in str(refused)

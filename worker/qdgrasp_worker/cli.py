@@ -74,7 +74,6 @@ def worker(
             help="How far simulators stand back behind other processes; 0: not at all.",
         ),
     ] = 10,
-    pin: Annotated[bool, typer.Option("--pin", help="Keep each of several workers on one core.")] = False,
     evaluator: Annotated[
         str | None,
         typer.Option(
@@ -119,7 +118,7 @@ def worker(
             return
         configure_logging("worker")
         if workers > 1:
-            pool = WorkerPool(workers, worker_arguments(context), grace=grace, is_pinned=pin)
+            pool = WorkerPool(workers, worker_arguments(context), grace=grace)
             pool.run(stop)
             raise typer.Exit(stop.exit_code or pool.exit_code)
         from qdgrasp_worker.runtime.simulator_supervisor import SimulatorSupervisor, simulator_command
@@ -152,22 +151,19 @@ def worker(
 
 LOOK_INTERVAL = 0.2  # seconds between two looks at the workers
 STEADY_SECONDS = 60.0  # seconds of life after which a worker's deaths count anew
-POOL_OPTIONS = ("workers", "pin")  # Options of the pool, which its workers are not given
 
 
 class WorkerPool:
     """Several workers with the same arguments, restarted when they die.
 
-    Each may take `grace` seconds to stop; if pinned, each is kept on a core of its own, as far as there are
-    enough. A worker is given up that left by itself, that bad input ended at its first start, as it would at
-    any other, or that dies again and again.
+    Each may take `grace` seconds to stop. A worker is given up that left by itself, that bad input ended at
+    its first start, as it would at any other, or that dies again and again.
     """
 
-    def __init__(self, size: int, arguments: list[str], *, grace: float, is_pinned: bool) -> None:
+    def __init__(self, size: int, arguments: list[str], *, grace: float) -> None:
         self._size = size
         self._arguments = arguments
         self._grace = max(GRACE, grace + GRACE_MARGIN)
-        self._is_pinned = is_pinned
         self._served: set[str] = set()  # Workers that were started a second time
         self._running: set[str] = set()
         self.exit_code = 0
@@ -195,10 +191,8 @@ class WorkerPool:
                     woken.get(timeout=LOOK_INTERVAL)
 
     def _start(self, processes: ProcessSupervisor) -> None:
-        cores = sorted(os.sched_getaffinity(0))
-        for number in range(self._size):
-            name, core = f"worker-{number}", cores[number % len(cores)] if self._is_pinned else None
-            processes.start(name, "qdgrasp_worker.cli", self._arguments, core)
+        for name in [f"worker-{number}" for number in range(self._size)]:
+            processes.start(name, "qdgrasp_worker.cli", self._arguments)
             self._running.add(name)
 
     def on_death(self, processes: ProcessSupervisor, death: ProcessExit, now: float) -> None:
@@ -226,7 +220,7 @@ def worker_arguments(context: typer.Context) -> list[str]:
     given: list[str] = []
     for option in context.command.params:
         value = context.params.get(option.name or "")
-        if option.name in POOL_OPTIONS or value is None or value is False:
+        if option.name == "workers" or value is None or value is False:
             continue
         given += [option.opts[0]] if value is True else [option.opts[0], str(value)]
     return given

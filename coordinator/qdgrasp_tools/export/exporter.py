@@ -79,7 +79,7 @@ FORMATS = {
 
 
 def format_of(name: str) -> ExportFormat:
-    """Return the format of that name; raises UnknownName or MissingPackage."""
+    """Return the format of that name; raises UnknownName or InputError."""
     if name not in FORMATS:
         raise UnknownName("format", name, FORMATS)
     check_packages(f"The format {name}", *FORMATS[name].packages)

@@ -6,9 +6,6 @@ from typing import Any
 import pytest
 
 import qdgrasp
-from qdgrasp.optimisation import SearchFactory
-from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.genes import layout
 
 SCENE: dict[str, Any] = {"gripper": "panda", "object": "tennis_ball"}
 
@@ -53,16 +50,3 @@ def test_what_a_program_raises_itself_goes_through_and_leaves_no_folder(tmp_path
     with pytest.raises(ZeroDivisionError):
         qdgrasp.optimise(lambda genes: 1 / 0, tmp_path / "run", evaluations=10, **SCENE)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_run_that_begins_again_has_a_search_that_nothing_was_asked_of() -> None:
-    made: list[Uniform] = []
-
-    def make(genes: qdgrasp.Layout) -> Uniform:
-        made.append(Uniform(genes))
-        return made[-1]
-
-    searches = SearchFactory(make, layout(build_scene(qdgrasp.RunSpec(**SCENE)), "contact"))
-    assert len(made) == 1
-    assert searches.next() is not searches.next()
-    assert len(made) == 2

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from qdgrasp_protocol.process import DiesAgain, ProcessExit, ProcessSupervisor, RestartPolicy, Stop
 from qdgrasp_worker import cli
-from qdgrasp_worker.cli import POOL_OPTIONS, WorkerPool, app, worker_arguments
+from qdgrasp_worker.cli import WorkerPool, app, worker_arguments
 
 
 def parsed(given: list[str]) -> typer.Context:
@@ -16,13 +16,11 @@ def parsed(given: list[str]) -> typer.Context:
 
 
 def test_workers_of_a_team_are_started_with_the_options_of_the_team_but_for_its_own():
-    team = parsed(
-        ["--connect", "tls/a:1,tls/b:2", "--security", "here", "--workers", "4", "--pin", "--grace", "9.5"]
-    )
+    team = parsed(["--connect", "tls/a:1,tls/b:2", "--security", "here", "--workers", "4", "--grace", "9.5"])
     member = parsed(worker_arguments(team))
     changed = {name for name, value in team.params.items() if member.params[name] != value}
-    assert changed == set(POOL_OPTIONS)
-    assert (member.params["workers"], member.params["pin"]) == (1, False)
+    assert changed == {"workers"}
+    assert member.params["workers"] == 1
 
 
 def test_worlds_without_a_device_are_refused():
@@ -48,7 +46,7 @@ class Restarts(ProcessSupervisor):
     [([0], 0, 0), ([2], 0, 2), ([-9, 2, 2], 3, 0), ([1] * 10, 5, 1), ([-11] * 10, 5, 1)],
 )
 def test_a_worker_is_given_up_that_left_is_hopeless_or_dies_again_and_again(codes, restarts, exit_code):
-    processes, pool = Restarts(), WorkerPool(1, [], grace=1.0, is_pinned=False)
+    processes, pool = Restarts(), WorkerPool(1, [], grace=1.0)
     pool._running = {"worker-0"}
     for code in codes:
         if pool._running:
@@ -77,8 +75,8 @@ def test_a_second_signal_is_passed_on_to_the_workers(tmp_path, monkeypatch):
         def __init__(self, _logs: object, grace: float, _steady: float) -> None:
             super().__init__(tmp_path / "logs", grace)
 
-        def start(self, name, module, arguments, core=None):
-            super().start(name, "obstinate", [], core)
+        def start(self, name, module, arguments):
+            super().start(name, "obstinate", [])
 
         def pids(self):
             said = [log.read_text() for log in (tmp_path / "logs").glob("*.log")]
@@ -97,5 +95,5 @@ def test_a_second_signal_is_passed_on_to_the_workers(tmp_path, monkeypatch):
             super().stop(number)
 
     monkeypatch.setattr(cli, "ProcessSupervisor", Told)
-    WorkerPool(2, [], grace=600.0, is_pinned=False).run(stop)
+    WorkerPool(2, [], grace=600.0).run(stop)
     assert killed == []
