@@ -8,7 +8,7 @@ event; its decisions are carried out here.
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -50,30 +50,8 @@ class AdminRequest:
     answer: Future[str] = field(default_factory=Future)
 
 
-InboxEvent = SchedulerEvent | AdminRequest | None
-"""Input of the coordinator's one thread; None: check for signals."""
-
-
-class Inbox:
-    """Events in the order they came."""
-
-    def __init__(self) -> None:
-        self._queue: SimpleQueue[InboxEvent] = SimpleQueue()
-
-    def put(self, event: InboxEvent) -> None:
-        """Add an event; safe in a signal handler."""
-        self._queue.put(event)
-
-    def take(self, patience: float, most: int = 256) -> list[InboxEvent]:
-        """Return at most `most` events, waiting at most `patience` seconds for the first."""
-        events: list[InboxEvent] = []
-        try:
-            events.append(self._queue.get(timeout=max(0.0, patience)))
-            while len(events) < most:
-                events.append(self._queue.get_nowait())
-        except Empty:
-            pass
-        return events
+Inbox = SimpleQueue[SchedulerEvent | AdminRequest | None]
+"""Input of the coordinator's one thread, in the order it came; None: check for signals."""
 
 
 class BusSubscriptions(ExitStack):
@@ -159,6 +137,7 @@ def _await(answer: "Future[T]") -> T:
         raise NoReply("the coordinator is busy") from None
 
 
+MOST_EVENTS = 256  # events between two steps
 MOST_WAIT = 0.5  # seconds that the inbox is waited for, at most
 
 
@@ -186,7 +165,7 @@ class CoordinatorService:
     ) -> None:
         self._bus = bus
         self._stop = stop
-        self._inbox = Inbox()
+        self._inbox: Inbox = SimpleQueue()
         self._events = EventLog(lambda event: self._publisher.publish_event(event))
         self._runs = RunRegistry(queue, RunLoader(queue, make_sink, self._inbox.put, stop, begin_epoch))
         self.scheduler = JobScheduler(
@@ -241,15 +220,20 @@ class CoordinatorService:
     def _step(self) -> None:
         now = time.monotonic()
         deadline = min(self.scheduler.next_deadline(), self._publisher.due)
-        for event in self._inbox.take(min(MOST_WAIT, max(0.0, deadline - now))):
-            if isinstance(event, AdminRequest):
-                self._obey(event.order, event.answer, time.monotonic())
-            elif event is not None:
-                self.scheduler.handle(event, time.monotonic())
+        with suppress(Empty):
+            self._take(self._inbox.get(timeout=min(MOST_WAIT, max(0.0, deadline - now))))
+            for _ in range(MOST_EVENTS):
+                self._take(self._inbox.get_nowait())
         now = time.monotonic()
         self.scheduler.step(now)
         if now >= self._publisher.due:
             self._publisher.publish(now)
+
+    def _take(self, event: SchedulerEvent | AdminRequest | None) -> None:
+        if isinstance(event, AdminRequest):
+            self._obey(event.order, event.answer, time.monotonic())
+        elif event is not None:
+            self.scheduler.handle(event, time.monotonic())
 
     def _obey(self, order: Order, answer: "Future[str]", now: float) -> None:
         try:

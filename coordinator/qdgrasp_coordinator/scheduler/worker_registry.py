@@ -8,39 +8,13 @@ from collections import OrderedDict, deque
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
-from math import ceil, exp, expm1, inf
+from math import ceil, inf
 
 from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, WorkersPage, WorkerStatus
 from qdgrasp_coordinator.metrics.time_left import WorkersAtWork
 from qdgrasp_coordinator.storage.platforms import admit_platform
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.messages import VERSION, Heartbeat, Join
-
-RATE_SECONDS = 10.0  # Seconds after which what was counted weighs 1 / e
-
-
-class RateMeter:
-    """Recent rate of counting."""
-
-    def __init__(self, now: float) -> None:
-        self._since = self._last = now
-        self._weighed = 0.0
-
-    def count(self, amount: float, now: float) -> None:
-        """Add an amount counted at `now`."""
-        self._weighed = self._weighed * exp((self._last - now) / RATE_SECONDS) + amount
-        self._last = now
-
-    def rate(self, now: float) -> float:
-        """Return the rate [1/s]: an exponentially weighted mean over the time there was."""
-        if now <= self._since:
-            return 0.0
-        return (
-            self._weighed
-            * exp((self._last - now) / RATE_SECONDS)
-            / (RATE_SECONDS * -expm1((self._since - now) / RATE_SECONDS))
-        )
-
 
 ANSWER_SECONDS, ANSWER_LIMITS = 600.0, 6
 """Time that a worker which shows progress may go without an answer: so many seconds, or lease timeouts."""
@@ -66,8 +40,6 @@ class Worker:
     """When it last showed progress, or was leased something while it held nothing."""
     heard: float
     """Time of its last message."""
-    speed: RateMeter
-    """Rate of the rows that it settles."""
     batches: dict[bytes, bool] = field(default_factory=dict)
     """The ids of the batches it holds; True: a shape that it builds."""
     scenes: OrderedDict[str, None] = field(default_factory=OrderedDict)
@@ -151,6 +123,7 @@ class Worker:
 
     def status(self, now: float) -> WorkerStatus:
         """Return its figures."""
+        seconds = now - self.since
         return WorkerStatus(
             wid=self.wid,
             host=self.join.host,
@@ -158,8 +131,8 @@ class Worker:
             state=self.state,
             batches=len(self.batches),
             rows=self.rows,
-            rate=round(self.speed.rate(now), 2),
-            seconds=round(now - self.since, 2),
+            rate=round(self.rows / seconds, 2) if seconds > 0 else 0.0,
+            seconds=round(seconds, 2),
             seen=round(now - self.heard, 2),
             memory=self.sign.memory,
             restarts=self.sign.restarts,
@@ -212,11 +185,6 @@ class LeaseTimeout:
         self.straggling = max(STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS * ordered[len(ordered) // 2])
 
 
-JOINS_AHEAD, JOINS_PER_SECOND = 100, 20.0
-"""By how much a join's number may exceed the last one, besides so many for each second of silence.
-
-A worker raises it by one each time it asks, at most 20 times a second (rule 2), answered or not.
-"""
 AWAY_SECONDS = 30.0  # Seconds for which a worker that was well is expected back
 TOKEN_DELAY = 30.0  # Seconds by which a worker's token may come later than its request to join
 
@@ -291,15 +259,12 @@ class WorkerRegistry:
 
         Returns the ids of the batches that it held, which are taken from it; None: a join older than the
         latest changes nothing. A worker whose token is not there yet is waited for, at most `TOKEN_DELAY`
-        seconds. Raises Refused if it speaks another version of the protocol, is of another platform, or its
-        number is further ahead than a worker's can be.
+        seconds. Raises Refused if it speaks another version of the protocol, or is of another platform.
         """
         if VERSION not in join.versions:
             spoken = f"it speaks versions {join.versions} of the protocol"
             raise Refused(f"{spoken}, this job speaks {VERSION}")
         known = self._workers.get(join.wid)
-        if known is not None:
-            _check_number(join.number, known, now)
         self.platform = admit_platform(self.platform, join.platform)
         worker = known or self._add(join, now)
         worker.heard = now
@@ -319,7 +284,7 @@ class WorkerRegistry:
         self._joins += 1
         worker, _ = self._gone.pop(join.wid, (None, now))
         if worker is None:
-            worker = Worker(join, self._joins, now, now, now, RateMeter(now))
+            worker = Worker(join, self._joins, now, now, now)
         worker.join, worker.order, worker.scenes = join, self._joins, OrderedDict()
         worker.is_drained = join.wid in self._drained
         self._workers[join.wid] = worker
@@ -391,7 +356,6 @@ class WorkerRegistry:
         if (worker := self._workers.get(wid)) is not None:
             worker.heard = now
             worker.rows += rows
-            worker.speed.count(rows, now)
 
     def expects_other(self, tried: Collection[str], now: float) -> bool:
         """Return whether a worker besides these is well, or was lately: it may be back soon."""
@@ -477,14 +441,6 @@ class WorkerRegistry:
             WorkersPage(page=page, pages=len(firsts), workers=shown[first : first + WORKERS_PER_PAGE])
             for page, first in enumerate(firsts)
         ]
-
-
-def _check_number(number: int, known: Worker, now: float) -> None:
-    """Refuse a join whose number a worker cannot have come to since it was heard of last."""
-    last = known.join.number
-    most = last + JOINS_AHEAD + int(JOINS_PER_SECOND * (now - known.heard))
-    if number > most:
-        raise Refused(f"its join has the number {number}, expected at most {most} after {last}")
 
 
 def _lose_token(worker: Worker, at: float) -> None:

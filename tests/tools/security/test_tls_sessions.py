@@ -6,14 +6,14 @@ from contextlib import ExitStack, suppress
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 
 import pytest
 from tests.common import PATIENCE
 from tests.fakes.messages import ANN, EVE, KEYS_BY_ID, join_message
 from tests.tools.security.conftest import certificate_files, encrypted_endpoint
 
-from qdgrasp_coordinator.scheduler.coordinator_service import BusSubscriptions, Inbox
+from qdgrasp_coordinator.scheduler.coordinator_service import BusSubscriptions
 from qdgrasp_coordinator.scheduler.job_scheduler import JoinRequest
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import EndpointError, NoReply, Refused, SecurityError
@@ -94,14 +94,14 @@ def test_a_link_ends_with_the_certificate_that_it_was_opened_by(secured, folder,
 
 def test_a_worker_joins_in_its_own_name_alone(secured: str, folder: Path) -> None:
     """Another worker's id is seen in the keys of its work; its key goes to coordinators alone."""
-    proof, inbox, keys = partial(Credentials.find, folder), Inbox(), Keys("mugs")
+    proof, inbox, keys = partial(Credentials.find, folder), SimpleQueue(), Keys("mugs")
     stolen, seen, joined = SimpleQueue[str](), SimpleQueue[bytes](), Joined(epoch=1, drop=[])
     over = threading.Event()
 
     def answer_joins() -> None:
         while not over.is_set():
-            for event in inbox.take(0.1):
-                if isinstance(event, JoinRequest):
+            with suppress(Empty):
+                if isinstance(event := inbox.get(timeout=0.1), JoinRequest):
                     event.answer.set_result(messages.encode(joined))
 
     def asks(bus: ZenohBus, **values: object) -> Joined:
