@@ -13,8 +13,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from qdgrasp_assets import catalog, ycb
-from qdgrasp_assets.asset_paths import NOT_THERE, named_path, path_problem, searched
+from qdgrasp_assets import catalog
 from qdgrasp_assets.geometry.collision_parts import (
     FingerClearance,
     Tell,
@@ -23,7 +22,7 @@ from qdgrasp_assets.geometry.collision_parts import (
 )
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import scale_in_words
-from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes, surface_faults
+from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes
 from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import POINTS_PER_METRE
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper
@@ -35,11 +34,10 @@ from qdgrasp_assets.grippers.hand_model import guess_base, read_hand_model
 from qdgrasp_assets.grippers.mjcf import is_mjcf, read_mjcf
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element
 from qdgrasp_assets.grippers.urdf_checks import mesh_faults, motion_faults, structure_faults, weight_faults
-from qdgrasp_assets.object_model import ObjectDraft, read_draft
+from qdgrasp_assets.object_model import ObjectDraft
 from qdgrasp_assets.scene import Vector, vector
-from qdgrasp_assets.stand_ins import STAND_INS, stand_in
-from qdgrasp_assets.ycb import SCANS, lengths_in_words, scan_differences
-from qdgrasp_protocol.errors import AssetError, QdgraspError, UnknownName
+from qdgrasp_assets.ycb import lengths_in_words
+from qdgrasp_protocol.errors import AssetError, QdgraspError
 from qdgrasp_protocol.text import counted
 
 
@@ -51,11 +49,6 @@ class AssetReport(Struct, frozen=True, kw_only=True):
     """Unlikely things that do not prevent its use."""
     faults: tuple[str, ...] = ()
     """Reasons why it cannot be used; empty where it can."""
-
-    @property
-    def facts(self) -> tuple[str, ...]:
-        """Main facts in a few words each."""
-        return ()
 
     @property
     def table(self) -> str:
@@ -124,15 +117,6 @@ class ObjectReport(AssetReport, frozen=True, kw_only=True):
     convex: ConvexPartsReport | None = None
     """Its convex parts; None also if they were not asked for."""
     repairs: tuple[str, ...] = ()
-
-    @property
-    def facts(self) -> tuple[str, ...]:
-        """Main facts in a few words each."""
-        volume = () if self.volume is None else (f"{self.volume * 1e6:.2f} cm3",)
-        mass = () if self.mass is None else (f"{self.mass:g} kg",)
-        repairs = (f"repaired: {'; '.join(self.repairs)}",) if self.repairs else ()
-        size = f"{lengths_in_words(self.extents)} m", counted(self.triangles, "triangle")
-        return (*size, *volume, *mass, *repairs)
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         yield "object", self.name
@@ -272,14 +256,6 @@ class GripperReport(AssetReport, frozen=True, kw_only=True):
     """Convex parts that the simulator makes of the collision shapes."""
     warnings: tuple[str, ...] = ()
     """Signs of wrong guesses, each with the flag that corrects it."""
-
-    @property
-    def facts(self) -> tuple[str, ...]:
-        """Main facts in a few words each."""
-        if not self.base_link:
-            return ()
-        fingers = f"fingers {', '.join(self.finger_links)}"
-        return (f"base {self.base_link}", counted(self.joints, "joint"), fingers, f"licence {self.licence}")
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         yield "gripper", self.name
@@ -423,50 +399,6 @@ def _hollow_notes(hand: Urdf) -> Iterator[str]:
             f"much of the surface of {hollow}: "
             "`qdgrasp gripper new --repair` splits such meshes into convex parts"
         )
-
-
-def check(name: str) -> AssetReport:
-    """Check a gripper or object by name or file; `UnknownName` if it is neither."""
-    try:
-        return _check(name)
-    except UnknownName:
-        raise
-    except QdgraspError as error:
-        return AssetReport(name=name, faults=(str(error),))
-
-
-def is_gripper(name: str) -> bool:
-    """Return whether a name or file means a gripper rather than an object."""
-    return name.endswith(".toml") or name in {listing.name for listing in catalog.every_gripper()}
-
-
-def _check(name: str) -> AssetReport:
-    if name in STAND_INS:
-        target = stand_in(name)
-        return _mesh_report(name, target.mesh, target.mass)
-    if name in SCANS:
-        return _check_scan(name)
-    if is_gripper(name):
-        return examine_gripper(name)
-    if path_problem(named_path(name)) != NOT_THERE:
-        return inspect_object(read_draft(named_path(name)), name, glued=True, parts=False)
-    known = [listing.name for listing in (*catalog.every_gripper(), *catalog.every_object())]
-    raise UnknownName("asset", name, known, "Or name a mesh file, or a gripper's TOML file.")
-
-
-def _check_scan(name: str) -> AssetReport:
-    source = ycb.scan_source(name)
-    if source == catalog.ABSENT:
-        fault = f"it is absent ({searched()}); `qdgrasp asset fetch {name}` fetches it"
-        return AssetReport(name=name, faults=(fault,))
-    mesh = ycb.read_scan(name, "paper").mesh if source == "asset path" else ycb.read_fetched(name)
-    found = _mesh_report(name, mesh)
-    return msgspec.structs.replace(found, faults=(*found.faults, *scan_differences(mesh, SCANS[name])))
-
-
-def _mesh_report(name: str, mesh: Mesh, mass: float | None = None) -> ObjectReport:
-    draft = ObjectDraft(mesh, 1, (), surface_faults(mesh))
-    return inspect_object(draft, name, mass=mass, glued=True, parts=False)
 
 
 def examine_gripper(name: str) -> GripperReport:

@@ -1,11 +1,11 @@
-"""`qdgrasp asset` and `object`: list, fetch and check assets, and repair meshes.
+"""`qdgrasp asset` and `object`: list and fetch assets, check and repair meshes.
 
 Also how these and `qdgrasp gripper` print what a check found, and where they draw pictures.
 """
 
 import json
 import shlex
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -17,7 +17,6 @@ import typer
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_paths import named_path, path_problem
 from qdgrasp_assets.asset_report import AssetReport, ObjectReport, inspect_object
-from qdgrasp_assets.asset_report import check as check_asset
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
 from qdgrasp_assets.grippers.gripper import Gripper
@@ -67,9 +66,7 @@ def draw_asset(asset: Gripper | ObjectModel, name: str, folder: Path) -> Path:
     return drawn.path
 
 
-asset_app = typer.Typer(
-    name="asset", no_args_is_help=True, help="Grippers and objects: list, fetch and check them."
-)
+asset_app = typer.Typer(name="asset", no_args_is_help=True, help="Grippers and objects: list and fetch them.")
 
 
 @asset_app.command("list")
@@ -118,31 +115,6 @@ def fetch(
         echo("Every scan is there already; name one to fetch it again.")
 
 
-@asset_app.command()
-def check(
-    names: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[NAME|FILE]...", help="Of the catalog, a mesh or a gripper's TOML; default: all here."
-        ),
-    ] = None,
-) -> None:
-    """Say what assets are and what is wrong with them.
-
-    Example: qdgrasp asset check ycb_mug part.stl my_hand.toml
-    """
-    named = names or [*catalog.gripper_names(), *catalog.object_names()]
-    reports = [check_asset(name) for name in named]
-    for report in reports:
-        for line in _lines(report):
-            echo(line)
-    wrong = [report.name for report in reports if report.faults]
-    if wrong:
-        raise AssetError(
-            f"{len(wrong)} of {len(reports)} assets cannot be used as they are: {', '.join(wrong)}."
-        )
-
-
 @asset_app.command("resting-poses")
 def resting_poses_of(
     name: Annotated[str, typer.Argument(metavar="NAME|FILE", help="An object of the catalog, or a mesh.")],
@@ -168,13 +140,6 @@ def resting_poses_of(
     for number, pose in enumerate(poses):
         up = " ".join(f"{value:6.3f}" for value in pose.up)
         echo(f"{number:>4} {pose.probability:>11.3f}  {up:<22} {-pose.height:>10.4f}")
-
-
-def _lines(report: AssetReport) -> Iterable[str]:
-    if report.facts or not report.faults:
-        yield f"{'WRONG' if report.faults else 'ok':<5} {report.name}: {', '.join(report.facts)}"
-    for fault in report.faults:
-        yield f"WRONG {report.name}: {fault}"
 
 
 def _telling(tell: Tell, name: str) -> Callable[[int, int | None], None]:
@@ -260,9 +225,7 @@ def check_object(
 def _found(file: str) -> Path:
     path = named_path(file)
     if file in catalog.object_names() and path_problem(path):
-        raise AssetError(
-            f"'{file}' is an object of the catalog, no file; `qdgrasp asset check {file}` checks it."
-        )
+        raise AssetError(f"'{file}' is an object of the catalog, no file, and checked where it is read.")
     return path
 
 

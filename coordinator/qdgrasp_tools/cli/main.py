@@ -55,7 +55,7 @@ PANELS: dict[str, dict[Callable[..., None] | typer.Typer, str]] = {
     "Your own hands and objects": {
         gripper_commands.gripper_app: "Make and check the file of a hand.",
         asset_commands.object_app: "Check and repair the mesh of an object.",
-        asset_commands.asset_app: "List, fetch and check grippers and objects.",
+        asset_commands.asset_app: "List and fetch grippers and objects.",
     },
     "Many machines": {
         job_commands.jobs: "List the jobs on a bus, and who works on them.",

@@ -1,7 +1,6 @@
 import json
 
 import pytest
-import trimesh
 from tests.assets.file_server import fails, served
 from typer.testing import CliRunner
 
@@ -39,13 +38,3 @@ def test_fetch_states_the_licence_and_asks_the_address_it_is_given(asset, monkey
         asset("fetch", "ycb_bowl")
         archive = SCANS["ycb_bowl"].archive
         assert site.asked == [f"/{archive}", f"/mirror/{archive}"]
-
-
-def test_check_says_what_is_good_and_ends_with_what_is_wrong(asset, tmp_path):
-    part = tmp_path / "part.stl"
-    box = trimesh.creation.box((0.02, 0.03, 0.04))
-    trimesh.Trimesh(box.vertices, box.faces[1:], process=False).export(part)
-    done = asset("check", "mug", str(part))
-    assert "ok    mug: " in done.stdout
-    assert f"WRONG {part}: it is not closed (watertight): 3 edges" in done.stdout
-    assert str(done.exception) == f"1 of 2 assets cannot be used as they are: {part}."
