@@ -199,22 +199,21 @@ def view_of_cells(
     best: Rows,
     azimuth: float,
     pixels: int,
-    hues: Floats | None = None,
     beside: Sequence[NDArray[np.integer]] = (),
 ) -> RenderedView:
     """Render the object, and a cube for the cell of each of the rows `best` (n,).
 
-    The rows are in distinct cells. The cubes have the colours `hues` (n, 3) RGB; None: those of their
-    fitness. Where a cube would be narrower than `LEAST_CUBE`, it stands for a block of cells, in the colour
-    of the best of them. Cells `beside` it (m, 3), of other views of the object, are in the image's bounds,
-    and it is cut open where one of these views is.
+    The rows are in distinct cells. The cubes have the colours of their fitness. Where a cube would be
+    narrower than `LEAST_CUBE`, it stands for a block of cells, in the colour of the best of them. Cells
+    `beside` it (m, 3), of other views of the object, are in the image's bounds, and it is cut open where one
+    of these views is.
     """
     places = cells(best["descriptor"][:, :3])
-    hues = hues_of_survival(survival(best)) if hues is None else hues
     body, views = object_mesh(scene), [places, *beside]
     image = LayeredImage(_camera([body, *map(_cubes, views)], azimuth, ELEVATION, (pixels, pixels)))
     block = int(np.ceil(LEAST_CUBE * RAYS_PER_PIXEL * image.camera.step / CUBE_EDGE))
-    blocks, hues = _in_blocks(places, survival(best), hues, block)
+    blocks, kinds = _in_blocks(places, survival(best), block)
+    hues = np.array([rgb(colour) for colour in success_metrics.FITNESS_COLOURS])[kinds]
     right, _, toward = image.camera.project(blocks / PER_METRE).T
     kept = (right < 0) | (toward < 0) | (max(map(len, views)) <= CUT_OPEN_CELLS)
     cubes = np.repeat(hues[kept], len(CUBE_FACES), axis=0)
@@ -225,24 +224,17 @@ def view_of_cells(
 
 
 def _in_blocks(
-    places: NDArray[np.integer], best: NDArray[np.uint8], hues: Floats, block: int
-) -> tuple[NDArray[np.floating], Floats]:
-    """Return the middles (m, 3) [cells] of blocks that have a cell, and their colours (m, 3).
+    places: NDArray[np.integer], best: NDArray[np.uint8], block: int
+) -> tuple[NDArray[np.floating], NDArray[np.uint8]]:
+    """Return the middles (m, 3) [cells] of blocks with a cell, and their best survival (m,).
 
-    `places`, `best` and `hues` (n, 3), (n,), (n, 3) are cells with their survival and colours; a block has
-    the colour of its best cell, of equals the first.
+    `places` (n, 3) and `best` (n,) are cells with their survival.
     """
     order = np.argsort(-best.astype(int), kind="stable")
     corners = (places[order] // block).astype(np.int64)
     _, first = np.unique(cell_keys(corners), return_index=True)
     first.sort()
-    return corners[first] * block + (block - 1) / 2, hues[order[first]]
-
-
-def hues_of_survival(best: NDArray[np.uint8]) -> Floats:
-    """Return the colours (n, 3) of cells by the survival (n,) of their best successes."""
-    colours = np.array([rgb(colour) for colour in success_metrics.FITNESS_COLOURS])
-    return np.asarray(colours[best])
+    return corners[first] * block + (block - 1) / 2, best[order[first]]
 
 
 def best_in_cells(successes: Rows) -> Rows:

@@ -26,7 +26,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.rendering.drawings import OUTLINE, axes_triad, figure_text, show_view
-from qdgrasp_tools.rendering.views import best_azimuth, best_in_cells, hues_of_survival, view_of_cells
+from qdgrasp_tools.rendering.views import best_azimuth, best_in_cells, view_of_cells
 from qdgrasp_tools.report.run_groups import (
     CurvePanel,
     MethodVariant,
@@ -343,8 +343,7 @@ def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> 
 
 
 def _draw_cells(axes: Axes, one: RunVoxels, azimuth: float, beside: Sequence[NDArray[np.int64]]) -> None:
-    hues = hues_of_survival(survival(one.best))
-    view = view_of_cells(one.scene, one.best, azimuth, VOXEL_PIXELS, hues, beside)
+    view = view_of_cells(one.scene, one.best, azimuth, VOXEL_PIXELS, beside)
     found = one.words + ("" if view.is_uncut else "; cut open")
     found += "" if view.block == 1 else f"; blocks of {view.block} cm"
     run = f"seed {one.run.spec.seed}, {one.run.evaluations:,} evaluations"
