@@ -80,10 +80,7 @@ def drawn_off(scene, n, seed):
 def judged(scene, n, seed):
     """The filter's verdicts on poses, and their outcomes in Bullet without it: (n,) each."""
     world = BulletShakenWorld(scene)
-    reach, episode = (
-        reach_of(scene, world),
-        ShakenEpisode(world, PROTOCOLS[scene.protocol], stops_early=False),
-    )
+    reach, episode = reach_of(scene, world), ShakenEpisode(world, PROTOCOLS[scene.protocol])
     poses = list(drawn_off(scene, n, seed))
     misses = np.array([reach.misses(pose) for pose in poses])
     outcomes = np.array(

@@ -34,8 +34,6 @@ class WrittenWorld:
     """A world with given contacts after each number of steps, which records its commands."""
 
     touching: Callable[[int], list[Contact]]
-    left_at: int = 10_000
-    """The step at which the object is out of reach."""
     steps: int = 0
     told: list[object] = field(default_factory=list)
     finger_links: frozenset[int] = frozenset({FINGER, OTHER_FINGER})
@@ -62,9 +60,6 @@ class WrittenWorld:
 
     def is_touching(self):
         return bool(self.touching(self.steps))
-
-    def has_lost_object(self, pose):
-        return self.steps >= self.left_at
 
     def finger_positions(self):
         return [0.01, 0.02]
@@ -123,11 +118,6 @@ class TestEveryProtocolThatShakes:
         settled = [*POSE.position, *POSE.quaternion]  # the sign is that of the commanded quaternion
         expected = EpisodeResult(Outcome.HELD, [0.01, 0.02], 2, 0.003, 2, settled, contacts=[])
         assert verdict == expected
-
-    def test_an_object_that_is_out_of_reach_ends_the_closing(self, protocol):
-        world = WrittenWorld(during(3, 6, Contact(FINGER, -0.001)), left_at=23)
-        assert run(world, protocol).outcome == Outcome.BRUSHED
-        assert 23 <= world.steps < 30
 
     def test_a_finger_link_counts_once_however_many_contacts_it_has(self, protocol):
         world = WrittenWorld(during(20, END, *GRIP, *GRIP, Contact(PALM, -0.01)))

@@ -18,12 +18,11 @@ All errors are on the safe side: a pose that might touch is simulated.
   the joint's frame. `STRAY` bounds the difference: forces between fingers depend on their places.
 - Where a shape or a free joint is not understood, every pose is simulated.
 
-Scenes in which a hand closes the same way share its fields. `SweptBox` finds closings that can end early: the
-object has left the space that the hand passes through. On an object with a large surface the balls are
+Scenes in which a hand closes the same way share its fields. On an object with a large surface the balls are
 larger, so that their number stays bounded.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
@@ -44,52 +43,9 @@ from qdgrasp_assets.grippers.hand_geometry import (
     free_posture,
     hand_geometry,
 )
-from qdgrasp_assets.scene import SceneGripper, Vector
+from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.object_geometry import ObjectSolid
-
-Box = tuple[Vector, Vector]  # Low and high corner
-SWEPT_MARGIN = 0.02  # Deflection of the hand by contacts plus Bullet's detection distance [m]
-
-
-@dataclass(frozen=True)
-class SweptBox:
-    """Box around all places of the object's centre [m], hand frame, at which it can be touched."""
-
-    low: Vector
-    high: Vector
-
-    @classmethod
-    def around(cls, boxes: list[Box], origin: Sequence[float], radius: float) -> Self:
-        """The sweep of a hand at `origin` in `boxes`, for an object of `radius` about its CoM [m]."""
-        aside = radius + SWEPT_MARGIN
-        spans = [
-            (min(low[i] for low, _ in boxes) - aside, max(high[i] for _, high in boxes) + aside)
-            for i in range(3)
-        ]
-        low, high = zip(
-            *[(low - o, high - o) for (low, high), o in zip(spans, origin, strict=True)], strict=True
-        )
-        return cls(low, high)
-
-    def is_left(self, pose: HandPose, position: Vector, velocity: Vector) -> bool:
-        """Return whether an object at this place and velocity is outside for good, hand at `pose`.
-
-        No force pulls a free object back: beyond a face of the box, and not moving towards it, the object
-        is not touched again.
-        """
-        offset = [a - b for a, b in zip(position, pose.position, strict=True)]
-        for axis, low, high in zip(pose.axes, self.low, self.high, strict=True):
-            place, speed = scalar_product(axis, offset), scalar_product(axis, velocity)
-            if (place > high and speed >= 0.0) or (place < low and speed <= 0.0):
-                return True
-        return False
-
-
-def scalar_product(a: Vector, b: Vector | list[float]) -> float:
-    """The scalar product."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
 
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]; larger for a hand that passes through more than `MAX_VOXELS`
 MAX_VOXELS = 1 << 22

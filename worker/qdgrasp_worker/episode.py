@@ -23,8 +23,6 @@ from qdgrasp_worker.evaluation_protocols import (
 )
 from qdgrasp_worker.world import GraspContact, GraspWorld, HandFrame, ShakenWorld
 
-LOST_CHECK_EVERY = 5  # Steps of closing between two checks whether the object has left
-
 
 class EpisodeResult(NamedTuple):
     """Result of an episode."""
@@ -190,9 +188,6 @@ class Episode(ABC, Generic[AnyWorld]):
 class ShakenEpisode(Episode[ShakenWorld]):
     """Simulates poses in a world whose hand is shaken."""
 
-    stops_early: bool = True
-    """Closing ends when the object has left; it changes no verdict."""
-
     @property
     def disturbances(self) -> int:
         """Number of shakes that a grasp meets."""
@@ -202,9 +197,7 @@ class ShakenEpisode(Episode[ShakenWorld]):
         """Close the hand; return whether a finger touched the object before the last step."""
         self.world.close_fingers(pose.synergy)
         touched = False
-        for step in range(CLOSING_STEPS):
-            if self.stops_early and step % LOST_CHECK_EVERY == 0 and self.world.has_lost_object(pose):
-                break
+        for _ in range(CLOSING_STEPS):
             touched = touched or bool(self._touching_fingers())
             self.world.step()
         return touched

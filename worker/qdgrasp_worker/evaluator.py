@@ -95,9 +95,8 @@ class BatchEvaluator(ABC):
 class Evaluator(BatchEvaluator):
     """A world for one scene in each of its engines; a context manager that leaves them.
 
-    `shortcuts` says whether poses that surely overlap, or surely miss, are left unsimulated, and whether
-    closing ends when the object has left; they change no result
-    (docs/decisions/0007-evaluation-shortcuts.md).
+    `shortcuts` says whether poses that surely overlap, or surely miss, are left unsimulated; they change no
+    result (docs/decisions/0007-evaluation-shortcuts.md).
 
     An evaluation is a pure function of scene, genome and trial: not of what was evaluated before, of the
     batch, or of the process (docs/reproducibility.md). An AssetError if the engine cannot load the scene.
@@ -178,9 +177,7 @@ class Evaluator(BatchEvaluator):
             verdict = found if isinstance(found, EpisodeResult) else self._episode.grasp(found.pose)
             if len(self._worlds) > 1:
                 setup = self._protocol.trial(grasps[place], trial)
-                verdict = verdict_in_all(
-                    verdict, self._worlds[1:], self._protocol, setup, stops_early=self._shortcuts
-                )
+                verdict = verdict_in_all(verdict, self._worlds[1:], self._protocol, setup)
         except Exception as error:  # noqa: BLE001  # any failure is this row's result and no other's
             self.close()
             self._worlds = self._make_worlds()
@@ -190,9 +187,7 @@ class Evaluator(BatchEvaluator):
     @property
     def _episode(self) -> ShakenEpisode | PhysicalEpisode:
         """Episodes in the first engine."""
-        return make_episode(
-            self._worlds[0], self._protocol, self._contact_filter, stops_early=self._shortcuts
-        )
+        return make_episode(self._worlds[0], self._protocol, self._contact_filter)
 
     def _choose(
         self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int
@@ -220,8 +215,6 @@ def verdict_in_all(
     others: Sequence[ShakenWorld | PhysicalWorld],
     protocol: EvaluationProtocol,
     trial: TrialSetup,
-    *,
-    stops_early: bool,
 ) -> EpisodeResult:
     """The result of a trial in all engines, given that of the first one.
 
@@ -230,7 +223,7 @@ def verdict_in_all(
     """
     for world in others:
         if verdict.outcome is Outcome.HELD:
-            episode = make_episode(world, protocol, stops_early=stops_early)
+            episode = make_episode(world, protocol)
             survived = episode.run(trial).fitness
             verdict = verdict._replace(outcome=outcome_of(survived, episode.disturbances), fitness=survived)
     return verdict
@@ -240,15 +233,13 @@ def make_episode(
     world: ShakenWorld | PhysicalWorld,
     protocol: EvaluationProtocol,
     contact_filter: ContactFilter | None = None,
-    *,
-    stops_early: bool = True,
 ) -> ShakenEpisode | PhysicalEpisode:
     """The episodes of a protocol in a world that `make_world` made."""
     if isinstance(world, PhysicalWorld):
         if protocol.lift:
             return LiftEpisode(world, protocol, contact_filter, protocol.lift)
         return PhysicalEpisode(world, protocol, contact_filter)
-    return ShakenEpisode(world, protocol, contact_filter, stops_early)
+    return ShakenEpisode(world, protocol, contact_filter)
 
 
 def row_refusals(

@@ -149,7 +149,7 @@ def replay_evaluation(scene: Scene, request: ReplayRequest) -> ReplayAnswer:
     protocol = scene_protocol(scene)
     with closing(make_world(scene, protocol)) as world:
         recorder = EpisodeRecorder(world, scene.gripper)
-        episode = make_episode(world, protocol, stops_early=False)
+        episode = make_episode(world, protocol)
         grasps = requested_grasp(scene, request)
         trial = protocol.trial(grasps[0], request.trial)
         if request.trial == 0 and len(TableFilter(scene)(grasps, np.arange(1))):
@@ -160,7 +160,7 @@ def replay_evaluation(scene: Scene, request: ReplayRequest) -> ReplayAnswer:
     with ExitStack() as opened:
         names = engine_names(scene.engine)[1:]
         others = [opened.enter_context(closing(make_world(scene, protocol, name))) for name in names]
-        found = verdict_in_all(verdict, others, protocol, trial, stops_early=False)
+        found = verdict_in_all(verdict, others, protocol, trial)
     links, points = contact_columns(found.contacts, scene.contact_slots)
     return ReplayAnswer(
         outcome=found.outcome,

@@ -17,7 +17,6 @@ from qdgrasp_assets.grippers.hand_geometry import free_posture
 from qdgrasp_assets.scene import SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
-from qdgrasp_worker.contact_filter import Box, SweptBox
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, Shake, TrialSetup
 
@@ -29,7 +28,7 @@ UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 AWAY_POSITION = [0.0, 0.0, 5.0]  # Place of the hand away from all bodies [m]
 HAND_FRICTION = 0.5  # Lateral friction of the hand's links, Bullet's own; it multiplies it with the object's
 NEAR = 5e-4  # A contact without force counts up to this distance [m]; Bullet reports them from 1 to 2 mm on
-FREE_POSTURES = 13  # Places of free joints at which the sweep is measured: every 15 deg of Barrett's spread
+FREE_POSTURES = 13  # Places of free joints at which links are looked at: every 15 deg of Barrett's spread
 
 
 class Contact(NamedTuple):
@@ -203,14 +202,6 @@ class ShakenWorld(GraspWorld):
     def shake_to(self, target: float, shake: Shake) -> None:
         """Command the carrier joint that `shake` moves to `target` [m or rad]."""
 
-    @abstractmethod
-    def has_lost_object(self, pose: HandPose) -> bool:
-        """Return whether the closing hand at `pose` can no longer touch the object."""
-
-    @abstractmethod
-    def link_boxes(self) -> list[Box]:
-        """The axis-aligned boxes around the collision shapes of the hand's links [m]."""
-
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
         """The finger joints [rad or m] while they close on nothing: before, and after each step."""
         self.reset(self._away, posture)
@@ -220,20 +211,6 @@ class ShakenWorld(GraspWorld):
             self.step()
             course.append(self.finger_positions())
         return course
-
-    def measure_sweep(self, gripper: SceneGripper, root: Sequence[float], radius: float) -> SweptBox:
-        """Close the hand far from the object, with its free joints all along their ranges.
-
-        `root` is the position of the hand's root then, `radius` the object's about its centre of mass [m].
-        """
-        boxes = []
-        for posture in free_postures(gripper):
-            self.reset(self._away, posture)
-            self.close_fingers(NO_SYNERGY)
-            for _ in range(CLOSING_STEPS):
-                boxes += self.link_boxes()
-                self.step()
-        return SweptBox.around(boxes, root, radius)
 
 
 def free_postures(gripper: SceneGripper) -> list[list[float]]:

@@ -5,7 +5,6 @@ arrays take PyBullet twice as long to read.
 """
 
 import ctypes
-import math
 import os
 import sys
 import tempfile
@@ -17,7 +16,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from qdgrasp_assets.geometry.rotation import facing
-from qdgrasp_assets.grippers.collision_shapes import obj_group_corners
 from qdgrasp_assets.scene import RestingPose, SceneGripper, SceneObject, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.physical_episode import TABLE_HALF, table_middle
@@ -278,15 +276,6 @@ class ObjectBody(BulletBody):
         self.lateral_friction = target.lateral_friction
         self.frictions = target.rolling_friction, target.spinning_friction
         """Its own coefficients of rolling and spinning friction."""
-        parts = obj_group_corners(target.collision.decode())
-        self.radius = max(math.hypot(*corner) for corners in parts for corner in corners.tolist())
-        """Largest distance of a vertex from the centre of mass [m]."""
-
-    @property
-    def velocity(self) -> Vector:
-        """The velocity of its centre of mass [m/s]."""
-        linear: Vector = self._bullet.getBaseVelocity(self.body)[0]
-        return linear
 
     def damp(self, rate: float) -> None:
         """Let its velocity decay with this rate [1/s]."""

@@ -17,7 +17,6 @@ import numpy as np
 from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
-from qdgrasp_worker.contact_filter import Box
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.bullet import (
     BASE,
@@ -183,7 +182,6 @@ class BulletShakenWorld(BulletWorld, ShakenWorld):
         self._closing = {label: self._commands(gripper, joints) for label, joints in self._names.items()}
         carrier = zip(self._hand.carrier, gripper.carrier, strict=True)
         self._shaken = {joint.shake: (index, joint) for index, joint in carrier}
-        self._sweep = self.measure_sweep(gripper, AWAY_POSITION, self._target.radius)
 
     def close_fingers(self, synergy: int) -> None:
         """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.
@@ -212,14 +210,6 @@ class BulletShakenWorld(BulletWorld, ShakenWorld):
             positionGain=motor.position_gain,
             velocityGain=motor.velocity_gain,
         )
-
-    def has_lost_object(self, pose: HandPose) -> bool:
-        """Return whether the closing hand at `pose` can no longer touch the object."""
-        return self._sweep.is_left(pose, self._target.pose[0], self._target.velocity)
-
-    def link_boxes(self) -> list[Box]:
-        """The axis-aligned boxes around the collision shapes of the hand's links [m]."""
-        return [self._bullet.getAABB(self._hand.body, link) for link in self._hand.shaped_links]
 
     def _commands(self, gripper: SceneGripper, closing: Sequence[str]) -> list[tuple[int, float, Motor]]:
         """The motor commands when the joints `closing` close; undriven ones keep Bullet's own motor."""

@@ -235,8 +235,6 @@ class SceneModel:
         self.moments = box_moments(target.mass, sides)
         """The object's principal moments of inertia (3,) [kg m2]."""
         self._mass, self._shape = target.mass, shape
-        self.radius = float(max(np.linalg.norm(corners, axis=1).max() for corners in shape.hulls))
-        """Largest distance of the object's corners from its centre of mass [m]."""
 
     def _joint(self, joint: Joint) -> UrdfJoint:
         found = self.robot.joint(joint.name)

@@ -8,9 +8,7 @@ import numpy as np
 
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_worker.contact_filter import Box
 from qdgrasp_worker.engines.mujoco_model import OBJECT, TABLE, SceneModel
-from qdgrasp_worker.physical_episode import HULL_MARGIN
 from qdgrasp_worker.world import NEAR, Touch
 
 FREE_DOFS = 6
@@ -114,15 +112,6 @@ class Simulation:
         """Raise a SimulationDiverged where the state is not to be trusted."""
         if any(warnings := self._warnings.tolist()):
             raise SimulationDiverged(f"MuJoCo warned: {warnings}")
-
-    def hand_boxes(self) -> list[Box]:
-        """The axis-aligned box around each collision shape of the hand [m]."""
-        model, shapes = self.model, np.flatnonzero(~self.is_object)
-        turn = self.data.geom_xmat[shapes].reshape(-1, 3, 3)
-        middle = self.data.geom_xpos[shapes] + np.einsum("gij,gj->gi", turn, model.geom_aabb[shapes, :3])
-        half = np.einsum("gij,gj->gi", np.abs(turn), model.geom_aabb[shapes, 3:]) + HULL_MARGIN
-        corners = np.stack([middle - half, middle + half], axis=1).tolist()
-        return [((a, b, c), (x, y, z)) for (a, b, c), (x, y, z) in corners]
 
     @property
     def buffers_used(self) -> tuple[int, int]:

@@ -20,8 +20,6 @@ from scipy.spatial.transform import Rotation
 from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate, unit
 from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
-from qdgrasp_protocol.rows import NO_SYNERGY
-from qdgrasp_worker.contact_filter import Box
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, SceneModel, finger_drives
 from qdgrasp_worker.engines.mujoco_simulation import Simulation
@@ -54,7 +52,6 @@ HOLD = 0.1, 1.0
 """Gains with which Bullet holds and closes a joint: of the position's error and of the velocity's."""
 BRAKE = 1.0  # Force of Bullet's motor of a joint that is not commanded [N or Nm]
 LEAST_FORCE = 1e-9  # So a motor without force keeps its row [N or Nm]
-AT_ORIGIN = HandPose(STILL, UPRIGHT, [], NO_SYNERGY)
 
 
 class MujocoWorld(GraspWorld):
@@ -160,7 +157,6 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         self._at, self._velocity = data.qpos[:n], data.qvel[:n]
         self._goals, self._gains, self._damping, self._least, self._most = (np.zeros(n) for _ in range(5))
         self._wanted, self._slowed = np.zeros(n), np.zeros(n)
-        self._sweep = self.measure_sweep(gripper, STILL, self._scene.radius)
 
     def _joint_at(self, row: int) -> str:
         model = self.free.model
@@ -232,17 +228,6 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
     def contacts(self) -> list[Contact]:
         """The contacts of the hand's links with the object, up to a distance of 1 mm."""
         return [Contact(link, distance) for _, link, distance in self.free.hand_contacts(np.inf)]
-
-    def has_lost_object(self, pose: HandPose) -> bool:
-        """Return whether the closing hand can no longer touch the object."""
-        data = self.free.data
-        x, y, z = data.qpos[-7:-4].tolist()
-        u, v, w = data.qvel[-6:-3].tolist()
-        return self._sweep.is_left(AT_ORIGIN, (x, y, z), (u, v, w))
-
-    def link_boxes(self) -> list[Box]:
-        """The axis-aligned boxes around the collision shapes of the hand's links [m]."""
-        return self.free.hand_boxes()
 
     def base_pose(self) -> tuple[Vector, Quaternion]:
         """Position [m] and quaternion of the hand's base link."""
