@@ -30,7 +30,9 @@ def close_hand(world, synergy=NO_SYNERGY):
 
 def shaken(world, shake):
     """The place of the shaken joint after every 17 steps."""
-    index, _ = world._shaken[shake.joint]
+    index = next(
+        world._hand.moving[axis.name] for axis in world._gripper.carrier if axis.shake == shake.joint
+    )
     places = []
     for target in shake.targets:
         world.shake_to(target, shake)

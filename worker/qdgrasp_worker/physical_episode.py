@@ -22,7 +22,8 @@ from math import acos, dist, inf
 from typing import NamedTuple
 
 from qdgrasp_assets.geometry.rotation import running_sum
-from qdgrasp_assets.scene import Joint, RestingPose, Vector
+from qdgrasp_assets.grippers.urdf import UrdfJoint
+from qdgrasp_assets.scene import Joint, RestingPose, SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluation_protocols import DAMPING_RATIO, SLIDING, TURNING, Lift, Physics
@@ -57,20 +58,9 @@ class FingerDrive:
     rest_speed: float
 
     @classmethod
-    def of(
-        cls,
-        joint: Joint,
-        reach: float,
-        *,
-        slides: bool,
-        limits: tuple[float, float],
-        in_jaw: bool,
-        haste: float,
-    ) -> "FingerDrive":
-        """The drive of a joint that reaches `reach` [m] to the farthest point that it moves.
-
-        `limits` are the lower and upper limits of the URDF; reversed ones mean that there are none.
-        """
+    def of(cls, joint: Joint, found: UrdfJoint, reach: float, *, in_jaw: bool, haste: float) -> "FingerDrive":
+        """The drive of a joint that reaches `reach` [m] to the farthest point that it moves."""
+        slides, limits = found.kind == "prismatic", (found.lower, found.upper)
         gains = SLIDING if slides else TURNING
         known = SLIDING_EFFORT if slides else FINGERTIP_FORCE * reach
         limit = joint.rated_effort or (min(joint.effort, known) if joint.effort > 0 else known)
@@ -97,6 +87,15 @@ class FingerDrive:
     def duration(self) -> float:
         """Time in which it closes freely [s]."""
         return (abs(self.closed - self.opened) + self.lead) / self.speed
+
+
+def finger_drives(
+    gripper: SceneGripper, found: Sequence[UrdfJoint], reaches: Sequence[float], haste: float
+) -> list[FingerDrive]:
+    """The drives of the finger joints, in the gripper's order: `found` are those of the URDF."""
+    in_jaw = gripper.jaw is not None
+    joints = zip(gripper.joints, found, reaches, strict=True)
+    return [FingerDrive.of(*each, in_jaw=in_jaw, haste=haste) for each in joints]
 
 
 class FingerControl:

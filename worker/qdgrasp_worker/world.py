@@ -28,6 +28,7 @@ UPRIGHT = [0.0, 0.0, 0.0, 1.0]
 AWAY_POSITION = [0.0, 0.0, 5.0]  # Place of the hand away from all bodies [m]
 HAND_FRICTION = 0.5  # Lateral friction of the hand's links, Bullet's own; it multiplies it with the object's
 NEAR = 5e-4  # A contact without force counts up to this distance [m]; Bullet reports them from 1 to 2 mm on
+HOLD = 0.1, 1.0  # Gains with which a joint is held and closed, Bullet's own
 FREE_POSTURES = 13  # Places of free joints at which links are looked at: every 15 deg of Barrett's spread
 
 
@@ -103,6 +104,7 @@ class GraspWorld(ABC):
     """The links, as `contacts` names them, whose contact after closing makes a success."""
 
     def __init__(self, gripper: SceneGripper) -> None:
+        self._gripper = gripper
         self.opened = [joint.opened for joint in gripper.joints]
         """The open posture [rad or m]."""
         self.approach_axis = gripper.approach_axis
@@ -198,9 +200,33 @@ class ShakenWorld(GraspWorld):
         """The time that `step` simulates [s]."""
         return 1 / 240
 
-    @abstractmethod
+    def close_fingers(self, synergy: int) -> None:
+        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.
+
+        A ValueError for a synergy that the hand does not have.
+        """
+        closing = self.closing_joints(synergy)
+        for axis in self._gripper.carrier:
+            self.drive(axis.name, 0.0, axis.force, axis.max_velocity)
+        for joint in self._gripper.joints:
+            if joint.driven:
+                target = joint.closed if joint.name in closing else joint.opened
+                self.drive(joint.name, target, joint.effort, joint.velocity)
+
     def shake_to(self, target: float, shake: Shake) -> None:
         """Command the carrier joint that `shake` moves to `target` [m or rad]."""
+        axis = next(axis for axis in self._gripper.carrier if axis.shake == shake.joint)
+        gains = shake.position_gain, shake.velocity_gain
+        self.drive(axis.name, target, axis.shake_force, axis.max_velocity, gains)
+
+    @abstractmethod
+    def drive(
+        self, joint: str, target: float, force: float, velocity: float, gains: tuple[float, float] = HOLD
+    ) -> None:
+        """Command a joint to a place, with these limits, from the next step on.
+
+        `gains` are Bullet's kp and kd: the shares of the errors of place and velocity that a step corrects.
+        """
 
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
         """The finger joints [rad or m] while they close on nothing: before, and after each step."""

@@ -71,8 +71,8 @@ def test_masses_and_moments_are_those_of_bullet(hand_scene):
     with closing(UndrivenWorld(hand_scene, PHYSICS)) as world:
         for index, link in enumerate(world._hand.links):
             mass, moments = world._hand.inertia(index)
-            assert model.links[link.link].mass == pytest.approx(mass)
-            assert model.links[link.link].moments == pytest.approx(moments, rel=2e-3, abs=1e-12)
+            assert model.links[link].mass == pytest.approx(mass)
+            assert model.links[link].moments == pytest.approx(moments, rel=2e-3, abs=1e-12)
         assert model.moments == pytest.approx(world._target.inertia()[1], rel=1e-4)
 
 

@@ -13,13 +13,12 @@ from contextlib import contextmanager
 from functools import partial
 from inspect import isbuiltin
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from qdgrasp_assets.geometry.rotation import facing
-from qdgrasp_assets.scene import RestingPose, SceneGripper, SceneObject, Vector
+from qdgrasp_assets.scene import SceneGripper, SceneObject, Vector
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_worker.physical_episode import TABLE_HALF, table_middle
-from qdgrasp_worker.world import HAND_FRICTION, UPRIGHT, Quaternion, indices_by_name
+from qdgrasp_worker.physical_episode import TABLE_HALF
+from qdgrasp_worker.world import HAND_FRICTION, Quaternion, indices_by_name
 
 
 @contextmanager
@@ -99,20 +98,6 @@ class Bullet:
         if self.client >= 0:
             pb.disconnect(physicsClientId=self.client)
             self.client = -1
-
-
-class BulletLink(NamedTuple):
-    """A link with the joint that carries it; both have the same index."""
-
-    joint: str
-    link: str
-    moves: bool
-    slides: bool
-    """True for a prismatic joint."""
-    limits: tuple[float, float]
-    """Lower and upper limit of the joint in the URDF [m or rad]; reversed where there is none."""
-    parent: int
-    """The index of the link that carries it."""
 
 
 class BulletBody:
@@ -211,23 +196,16 @@ class HandBody(BulletBody):
             meets_itself=meets_itself,
         )
         infos = [bullet.getJointInfo(self.body, i) for i in range(bullet.getNumJoints(self.body))]
-        self.links = [
-            BulletLink(
-                info[1].decode(),
-                info[12].decode(),
-                info[2] != pb.JOINT_FIXED,
-                info[2] == pb.JOINT_PRISMATIC,
-                info[8:10],
-                info[16],
-            )
-            for info in infos
-        ]
-        """All links but the root, by index; a link comes after the one that carries it."""
-        moving = {link.joint: index for index, link in enumerate(self.links) if link.moves}
+        self.links = [info[12].decode() for info in infos]
+        """The names of all links but the root, by index; a link comes after the one that carries it."""
+        self.parents = [info[16] for info in infos]
+        """The index of the link that carries each."""
+        self.moving = moving = {info[1].decode(): info[0] for info in infos if info[2] != pb.JOINT_FIXED}
+        """The indices of the joints that move, by name."""
         self.joint_names = {index: name for name, index in moving.items()}
         self.carrier = indices_by_name("carrier joint", (joint.name for joint in gripper.carrier), moving)
         self.fingers = indices_by_name("joint", (joint.name for joint in gripper.joints), moving)
-        named = {link.link: index for index, link in enumerate(self.links)}
+        named = {link: index for index, link in enumerate(self.links)}
         root = bullet.getBodyInfo(self.body)[0].decode()
         self.link_names = {BASE: root} | {index: name for name, index in named.items()}
         self.finger_links = frozenset(indices_by_name("finger link", gripper.finger_links, named))
@@ -241,30 +219,14 @@ class HandBody(BulletBody):
         self.at_zero = [0.0] * (len(self.carrier) + len(others))
         """Places of all joints before the fingers."""
 
-    def set_joints(self, posture: Sequence[float]) -> None:
-        """Put the finger joints at `posture` [rad or m] and the others at zero, at rest."""
-        self._set(self.joints, [*self.at_zero, *posture])
-
-    def set_fingers(self, posture: Sequence[float]) -> None:
-        """Put the finger joints at `posture` [rad or m], at rest."""
-        self._set(self.fingers, posture)
-
-    def _set(self, joints: list[int], places: Sequence[float]) -> None:
+    def set_joints(self, joints: list[int], places: Sequence[float]) -> None:
+        """Put joints at places [rad or m], at rest."""
         still = [[0.0]] * len(joints)
         self._bullet.resetJointStatesMultiDof(self.body, joints, [[place] for place in places], still)
-
-    def motion(self, joints: list[int]) -> list[tuple[float, float]]:
-        """Position [m or rad] and velocity [m/s or rad/s] of each joint."""
-        return [state[:2] for state in self._bullet.getJointStates(self.body, joints)]
 
     def positions(self, joints: list[int]) -> list[float]:
         """Positions of joints [m or rad]."""
         return [state[0] for state in self._bullet.getJointStates(self.body, joints)]
-
-    def frame(self, link: int) -> tuple[Vector, Quaternion]:
-        """Position [m] and quaternion of the frame of a link that is not the root."""
-        state = self._bullet.getLinkState(self.body, link, computeForwardKinematics=1)
-        return state[4], state[5]
 
 
 class ObjectBody(BulletBody):
@@ -281,24 +243,10 @@ class ObjectBody(BulletBody):
         """Let its velocity decay with this rate [1/s]."""
         self._bullet.changeDynamics(self.body, BASE, linearDamping=rate, angularDamping=rate)
 
-    def push(self, force: Sequence[float]) -> None:
-        """Act on its centre of mass with a force [N], during the next step alone."""
-        self._bullet.applyExternalForce(self.body, BASE, force, self.pose[0], pb.WORLD_FRAME)
 
-
-class TableBody(BulletBody):
-    """A table on which the object rests where it is placed; it stands still."""
-
-    def __init__(self, bullet: Bullet, pose: RestingPose) -> None:
-        urdf = TABLE_URDF.format(sides=" ".join(str(2.0 * half) for half in TABLE_HALF))
-        super().__init__(bullet, urdf, {}, fixed=True, group=TABLE_GROUP, mask=HAND_GROUP | OBJECT_GROUP)
-        self.set_friction(HAND_FRICTION, 0.0, 0.0)
-        self._pose, self._turn = pose, facing(pose.up).tolist()
-
-    def put_away(self) -> None:
-        """Move it away from all bodies."""
-        self.place(TABLE_AWAY, UPRIGHT)
-
-    def put_below(self, way: float) -> None:
-        """Put it `way` [m] below the place where the object rests on it."""
-        self.place(table_middle(self._pose, way), self._turn)
+def load_table(bullet: Bullet) -> BulletBody:
+    """A table that stands still where it is placed."""
+    urdf = TABLE_URDF.format(sides=" ".join(str(2.0 * half) for half in TABLE_HALF))
+    table = BulletBody(bullet, urdf, {}, fixed=True, group=TABLE_GROUP, mask=HAND_GROUP | OBJECT_GROUP)
+    table.set_friction(HAND_FRICTION, 0.0, 0.0)
+    return table

@@ -4,16 +4,15 @@ Contacts are those of the last collision detection.
 """
 
 import xml.etree.ElementTree as ET
-from abc import abstractmethod
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from itertools import product
 from math import dist
 from pathlib import Path
 
 import numpy as np
 
+from qdgrasp_assets.geometry.rotation import facing
 from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
@@ -23,17 +22,20 @@ from qdgrasp_worker.engines.bullet import (
     BREAKING_THRESHOLD,
     HAND_GROUP,
     OBJECT_GROUP,
+    TABLE_AWAY,
     TABLE_GROUP,
     Bullet,
+    BulletBody,
     HandBody,
     ObjectBody,
-    TableBody,
+    load_table,
 )
-from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
-from qdgrasp_worker.physical_episode import FingerControl, FingerDrive, PhysicalWorld
+from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
+from qdgrasp_worker.physical_episode import FingerControl, PhysicalWorld, finger_drives, table_middle
 from qdgrasp_worker.world import (
     AWAY_POSITION,
     HAND_FRICTION,
+    HOLD,
     NEAR,
     STILL,
     UPRIGHT,
@@ -47,20 +49,6 @@ from qdgrasp_worker.world import (
     free_postures,
     seen_from,
 )
-
-
-@dataclass(frozen=True)
-class Motor:
-    """Gains and limits with which a joint is driven to a position."""
-
-    force: float
-    """Greatest force or torque [N or Nm]."""
-    max_velocity: float
-    """Greatest velocity [m/s or rad/s]."""
-    position_gain: float = 0.1
-    """Bullet's kp: the share of the error that a step corrects."""
-    velocity_gain: float = 1.0
-    """Bullet's kd."""
 
 
 class BulletWorld(GraspWorld):
@@ -81,9 +69,8 @@ class BulletWorld(GraspWorld):
             self._prepare(scene.gripper)
             undo.pop_all()
 
-    @abstractmethod
     def _prepare(self, gripper: SceneGripper) -> None:
-        """Prepare the data that closing needs."""
+        """Prepare the data that closing needs, if any."""
 
     def close(self) -> None:
         """Leave Bullet and free the world; closing twice is allowed."""
@@ -100,7 +87,7 @@ class BulletWorld(GraspWorld):
             contactBreakingThreshold=self._breaking_threshold
         )  # process-wide
         hand.place(AWAY_POSITION, UPRIGHT)
-        hand.set_joints(posture)
+        hand.set_joints(hand.joints, [*hand.at_zero, *posture])
         target.place(STILL, UPRIGHT)
         self._bullet.resetBaseVelocity(target.body, STILL, STILL)
         target.set_friction(trial.grip * target.lateral_friction, *(trial.frictions or target.frictions))
@@ -115,7 +102,7 @@ class BulletWorld(GraspWorld):
 
     def set_fingers(self, posture: Sequence[float]) -> None:
         """Put the finger joints at `posture` [rad or m], at rest."""
-        self._hand.set_fingers(posture)
+        self._hand.set_joints(self._hand.fingers, posture)
 
     def step(self) -> None:
         """Simulate one step."""
@@ -136,7 +123,8 @@ class BulletWorld(GraspWorld):
 
     def base_pose(self) -> tuple[Vector, Quaternion]:
         """Position [m] and quaternion of the hand's base link."""
-        return self._hand.frame(self._hand.base_link)
+        state = self._bullet.getLinkState(self._hand.body, self._hand.base_link, computeForwardKinematics=1)
+        return state[4], state[5]
 
     def contact_forces(self) -> list[GraspContact]:
         """The contacts of the hand with the object that bear a force, or are about to.
@@ -178,55 +166,20 @@ class BulletWorld(GraspWorld):
 class BulletShakenWorld(BulletWorld, ShakenWorld):
     """A world in Bullet whose joints have Bullet's own motors."""
 
-    def _prepare(self, gripper: SceneGripper) -> None:
-        self._closing = {label: self._commands(gripper, joints) for label, joints in self._names.items()}
-        carrier = zip(self._hand.carrier, gripper.carrier, strict=True)
-        self._shaken = {joint.shake: (index, joint) for index, joint in carrier}
-
-    def close_fingers(self, synergy: int) -> None:
-        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.
-
-        A ValueError for a synergy that the hand does not have.
-        """
-        self.closing_joints(synergy)
-        for index, target, motor in self._closing[synergy]:
-            self._drive(index, target, motor)
-
-    def shake_to(self, target: float, shake: Shake) -> None:
-        """Command the carrier joint that `shake` moves to `target` [m or rad]."""
-        index, joint = self._shaken[shake.joint]
-        motor = Motor(joint.shake_force, joint.max_velocity, shake.position_gain, shake.velocity_gain)
-        self._drive(index, target, motor)
-
-    def _drive(self, joint: int, target: float, motor: Motor) -> None:
-        """Command a joint to a position, from the next step on."""
+    def drive(
+        self, joint: str, target: float, force: float, velocity: float, gains: tuple[float, float] = HOLD
+    ) -> None:
+        """Command a joint to a place, with these limits, from the next step on."""
         self._bullet.setJointMotorControl2(
             self._hand.body,
-            joint,
+            self._hand.moving[joint],
             self._bullet.POSITION_CONTROL,
             targetPosition=target,
-            force=motor.force,
-            maxVelocity=motor.max_velocity,
-            positionGain=motor.position_gain,
-            velocityGain=motor.velocity_gain,
+            force=force,
+            maxVelocity=velocity,
+            positionGain=gains[0],
+            velocityGain=gains[1],
         )
-
-    def _commands(self, gripper: SceneGripper, closing: Sequence[str]) -> list[tuple[int, float, Motor]]:
-        """The motor commands when the joints `closing` close; undriven ones keep Bullet's own motor."""
-        held = [
-            (index, 0.0, Motor(joint.force, joint.max_velocity))
-            for index, joint in zip(self._hand.carrier, gripper.carrier, strict=True)
-        ]
-        driven = [
-            (
-                index,
-                joint.closed if joint.name in closing else joint.opened,
-                Motor(joint.effort, joint.velocity),
-            )
-            for index, joint in zip(self._hand.fingers, gripper.joints, strict=True)
-            if joint.driven
-        ]
-        return held + driven
 
 
 class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
@@ -254,28 +207,19 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
             hand.set_friction(HAND_FRICTION, 0.0, 0.0, number)
         self._mass, self._moments = target.inertia()
         robot = parse_robot(Path(), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
-        endless = {joint.name for joint in robot.joints if joint.kind == "continuous"}  # 0 to -1 in Bullet
         self._let_pass(gripper, robot)
         self._place_away(self.opened)
-        links = [hand.links[index] for index in hand.fingers]
-        drives = [
-            FingerDrive.of(
-                joint,
-                reach_of(bullet, hand, index),
-                slides=link.slides,
-                limits=(0.0, 0.0) if joint.name in endless else link.limits,
-                in_jaw=gripper.jaw is not None,
-                haste=physics.haste,
-            )
-            for index, link, joint in zip(hand.fingers, links, gripper.joints, strict=True)
-        ]
-        for index, link, drive in zip(hand.fingers, links, drives, strict=True):
-            self._add_inertia(index, drive.inertia, slides=link.slides)
-        self._table = None
+        by_name = {joint.name: joint for joint in robot.joints}
+        joints = [by_name[joint.name] for joint in gripper.joints]
+        reaches = [reach_of(bullet, hand, index) for index in hand.fingers]
+        drives = finger_drives(gripper, joints, reaches, physics.haste)
+        for index, joint, drive in zip(hand.fingers, joints, drives, strict=True):
+            self._add_inertia(index, drive.inertia, slides=joint.kind == "prismatic")
+        self._table: BulletBody | None = None
         if self.table is not None:
             hand.collide(HAND_GROUP, OBJECT_GROUP | HAND_GROUP | TABLE_GROUP)
             target.collide(OBJECT_GROUP, HAND_GROUP | TABLE_GROUP)
-            self._table = TableBody(bullet, self.table)
+            self._table = load_table(bullet)
         still = [0.0] * len(hand.fingers)  # joints move freely, except for the torques of each step
         bullet.setJointMotorControlArray(hand.body, hand.fingers, bullet.VELOCITY_CONTROL, forces=still)
         self._control = FingerControl(drives, is_coupled=gripper.jaw is not None)
@@ -283,7 +227,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
     def _let_pass(self, gripper: SceneGripper, robot: Urdf) -> None:
         """Let pairs of links pass through each other: neighbours, disabled, or touching when open."""
         bullet, body = self._bullet, self._hand.body
-        named = {link.link: index for index, link in enumerate(self._hand.links)}
+        named = {link: index for index, link in enumerate(self._hand.links)}
         passing = neighbours(robot).union(gripper.disabled_collisions)
         pairs = {(named.get(one, BASE), named.get(other, BASE)) for one, other in passing}
         for posture in free_postures(gripper):
@@ -294,7 +238,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
 
     def _place_away(self, posture: Sequence[float]) -> None:
         self._hand.place(AWAY_POSITION, UPRIGHT)
-        self._hand.set_joints(posture)
+        self._hand.set_joints(self._hand.joints, [*self._hand.at_zero, *posture])
         self._bullet.performCollisionDetection()
 
     def _add_inertia(self, index: int, inertia: float, *, slides: bool) -> None:
@@ -312,7 +256,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         self._target.damp(0.0)
         self._target.set_inertia(self._mass, self._moments)
         if self._table:
-            self._table.put_away()
+            self._table.place(TABLE_AWAY, UPRIGHT)
         super().reset(trial, posture)
         self.lower_table(0.0)
         self._axes = trial.pose.axes
@@ -344,7 +288,8 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
     def step(self) -> None:
         """Simulate one step, with the fingers' torques."""
         bullet, hand = self._bullet, self._hand
-        torques = self._control.torques(hand.motion(hand.fingers), self.physics.time_step)
+        states = [state[:2] for state in bullet.getJointStates(hand.body, hand.fingers)]
+        torques = self._control.torques(states, self.physics.time_step)
         bullet.setJointMotorControlArray(hand.body, hand.fingers, bullet.TORQUE_CONTROL, forces=torques)
         super().step()
 
@@ -352,17 +297,21 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         """Push the object with its weight, during the next step, along a direction in hand frame."""
         force = self._mass * self.physics.weight
         (a, b, c), (x, y, z) = self._axes, direction
-        self._target.push([force * (x * a[i] + y * b[i] + z * c[i]) for i in range(3)])
+        self._push([force * (x * a[i] + y * b[i] + z * c[i]) for i in range(3)])
 
     def weigh(self, factor: float) -> None:
         """Pull the object towards the table with `factor` times its weight, during the next step."""
         force = -factor * self._mass * self.physics.weight
-        self._target.push([force * axis for axis in self._up])
+        self._push([force * axis for axis in self._up])
+
+    def _push(self, force: Sequence[float]) -> None:
+        bullet, body = self._bullet, self._target.body
+        bullet.applyExternalForce(body, BASE, force, self._target.pose[0], bullet.WORLD_FRAME)
 
     def lower_table(self, way: float) -> None:
         """Put the table, if there is one, `way` [m] below the place where the object rests on it."""
-        if self._table:
-            self._table.put_below(way)
+        if self._table and self.table:
+            self._table.place(table_middle(self.table, way), facing(self.table.up).tolist())
 
     def is_on_table(self) -> bool:
         """Return whether the object touches the table."""
@@ -376,7 +325,7 @@ def reach_of(bullet: Bullet, hand: HandBody, joint: int) -> float:
     """Distance from a joint to the farthest box corner of the links that it moves [m]."""
     place, moved = bullet.getLinkState(hand.body, joint)[4], {joint}
     for index in range(joint + 1, len(hand.links)):
-        if hand.links[index].parent in moved:
+        if hand.parents[index] in moved:
             moved.add(index)
     shaped = sorted(moved.intersection(hand.shaped_links))
     boxes = [zip(*bullet.getAABB(hand.body, link), strict=True) for link in shaped]

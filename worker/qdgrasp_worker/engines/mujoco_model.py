@@ -26,7 +26,7 @@ from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, parse_ro
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.evaluation_protocols import Physics
-from qdgrasp_worker.physical_episode import HULL_MARGIN, TABLE_HALF, FingerDrive
+from qdgrasp_worker.physical_episode import HULL_MARGIN, TABLE_HALF, FingerDrive, finger_drives
 
 DETECTION_GAP = 5e-4  # Extra distance at which contacts are found; two shapes add theirs [m]
 LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # For a link that has none in Bullet [kg, kg m2]
@@ -329,20 +329,11 @@ class SceneModel:
         add_shape(body, meshes, self._shape, group)
 
 
-def finger_drives(gripper: SceneGripper, model: SceneModel, physics: Physics) -> list[FingerDrive]:
+def hand_drives(gripper: SceneGripper, model: SceneModel, physics: Physics) -> list[FingerDrive]:
     """The drives of the finger joints, in the gripper's order."""
     opened = {joint.name: joint.opened for joint in gripper.joints}
-    return [
-        FingerDrive.of(
-            joint,
-            reach_of(model.robot, model.links, opened, found),
-            slides=found.kind == "prismatic",
-            limits=(found.lower, found.upper),
-            in_jaw=gripper.jaw is not None,
-            haste=physics.haste,
-        )
-        for joint, found in zip(gripper.joints, model.joints, strict=True)
-    ]
+    reaches = [reach_of(model.robot, model.links, opened, found) for found in model.joints]
+    return finger_drives(gripper, model.joints, reaches, physics.haste)
 
 
 def couplings(robot: Urdf, gripper: SceneGripper) -> Iterator[Coupling]:

@@ -21,9 +21,9 @@ from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate
 from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, SceneModel, finger_drives
+from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, SceneModel, hand_drives
 from qdgrasp_worker.engines.mujoco_simulation import Simulation
-from qdgrasp_worker.evaluation_protocols import Physics, Shake, TrialSetup
+from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
 from qdgrasp_worker.physical_episode import (
     HULL_MARGIN,
     FingerControl,
@@ -34,6 +34,7 @@ from qdgrasp_worker.physical_episode import (
 from qdgrasp_worker.world import (
     AWAY_POSITION,
     HAND_FRICTION,
+    HOLD,
     STILL,
     UPRIGHT,
     Contact,
@@ -48,8 +49,6 @@ from qdgrasp_worker.world import (
 )
 
 TIME_STEP = 1 / 240  # Step where the hand is shaken [s]
-HOLD = 0.1, 1.0
-"""Gains with which Bullet holds and closes a joint: of the position's error and of the velocity's."""
 BRAKE = 1.0  # Force of Bullet's motor of a joint that is not commanded [N or Nm]
 LEAST_FORCE = 1e-9  # So a motor without force keeps its row [N or Nm]
 
@@ -153,7 +152,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         self._row = dict(zip(joints, rows, strict=True))
         """Row of each joint among the motors, which is its place among the hand's degrees of freedom."""
         n, data = len(joints), self.free.data
-        self._gripper, self._motors = gripper, n
+        self._motors = n
         self._at, self._velocity = data.qpos[:n], data.qvel[:n]
         self._goals, self._gains, self._damping, self._least, self._most = (np.zeros(n) for _ in range(5))
         self._wanted, self._slowed = np.zeros(n), np.zeros(n)
@@ -182,24 +181,13 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
 
         A ValueError for a synergy that the hand does not have.
         """
-        closing = self.closing_joints(synergy)
-        for axis in self._gripper.carrier:
-            self._drive(axis.name, 0.0, axis.force, axis.max_velocity, HOLD)
-        for joint in self._gripper.joints:
-            if joint.driven:
-                target = joint.closed if joint.name in closing else joint.opened
-                self._drive(joint.name, target, joint.effort, joint.velocity, HOLD)
-        self.free.couple(closing)
+        super().close_fingers(synergy)
+        self.free.couple(self.closing_joints(synergy))
 
-    def shake_to(self, target: float, shake: Shake) -> None:
-        """Command the carrier joint that `shake` moves to `target` [m or rad]."""
-        axis = next(axis for axis in self._gripper.carrier if axis.shake == shake.joint)
-        gains = shake.position_gain, shake.velocity_gain
-        self._drive(axis.name, target, axis.shake_force, axis.max_velocity, gains)
-
-    def _drive(
-        self, joint: str, target: float, force: float, velocity: float, gains: tuple[float, float]
+    def drive(
+        self, joint: str, target: float, force: float, velocity: float, gains: tuple[float, float] = HOLD
     ) -> None:
+        """Command a joint to a place, with these limits, from the next step on."""
         row, (position_gain, velocity_gain) = self._row[joint], gains
         self._goals[row], self._least[row], self._most[row] = target, -velocity, velocity
         self._gains[row], self._damping[row] = position_gain / TIME_STEP, 1.0 - velocity_gain
@@ -245,7 +233,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         super().__init__(gripper)
         self.physics, self.table, self.steps_at_once = physics, table, physics.look_every
         model = SceneModel(scene, physics.time_step, has_table=table is not None)
-        self.drives, self.is_coupled = finger_drives(gripper, model, physics), gripper.jaw is not None
+        self.drives, self.is_coupled = hand_drives(gripper, model, physics), gripper.jaw is not None
         self._control = FingerControl(self.drives, is_coupled=self.is_coupled)
         passing = passing_links(gripper, model, self.drives)
         self.fixed = Simulation(model, model.driven(self.drives, passing, is_free=False), is_free=False)
