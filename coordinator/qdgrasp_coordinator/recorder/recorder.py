@@ -135,20 +135,15 @@ class Recorder(ExitStack):
         """Open runs, or show recorded rows; else raise `Refused`, or `NoReply` for want of room now."""
         try:
             if query.key == self._keys.open:
-                return messages.encode(self._answer_open(messages.decode(query.payload, Open)))
+                opened = self.open(messages.decode(query.payload, Open))
+                self._on_disk_written()
+                return messages.encode(opened)
             return messages.encode(self.page(messages.decode(query.payload, Log)))
         except DiskFull as full:
             self._on_disk_full(full, now)
             raise NoReply(str(full)) from None
         except (InputError, MessageError, Refused) as error:
             raise Refused(str(error).removesuffix(".")) from None
-
-    def _answer_open(self, asked: Open) -> Opened:
-        opened = self.open(asked)
-        self._on_disk_written()
-        for run, rows in zip(asked.runs, opened.durable, strict=True):
-            log.info("opened", run=run.run, epoch=opened.epoch, rows=rows)
-        return opened
 
     def page(self, asked: Log) -> Recordable:
         """Return recorded rows of a run as a message; a run that was never opened is refused."""
@@ -179,6 +174,7 @@ class Recorder(ExitStack):
         self._store_epoch()
         self._platform = platform
         durable = [self._open(run).durable for run in runs]
+        log.info("opened", runs=[run.run for run in runs], epoch=self.epoch, rows=durable)
         identity = self.folder.identity
         return Opened(epoch=self.epoch, durable=durable, platform=platform, identity=identity)
 
@@ -321,15 +317,6 @@ class Recorder(ExitStack):
             self._commit_due(inf)
         return self._take_reports()
 
-    @property
-    def commit_deadline(self) -> float:
-        """When the next rows are to be committed; infinite if none wait."""
-        return min((writer.deadline for writer in self._waiting.values()), default=inf)
-
-    def due(self, now: float) -> list[str]:
-        """The runs whose waiting rows are to be committed by now."""
-        return [run for run, writer in self._waiting.items() if writer.deadline <= now]
-
     def commit(self, run: str) -> None:
         """Make a run's waiting rows durable; on a full disk (`DiskFull`) they go on waiting."""
         writer = self.writers[run]
@@ -343,10 +330,11 @@ class Recorder(ExitStack):
 
     @property
     def _commit_at(self) -> float:
-        return max(self.commit_deadline, self._try_at)
+        return max(min((writer.deadline for writer in self._waiting.values()), default=inf), self._try_at)
 
     def _commit_due(self, by: float, most: int | None = None) -> None:
-        for run in self.due(by)[:most]:
+        due = [run for run, writer in self._waiting.items() if writer.deadline <= by]
+        for run in due[:most]:
             self.commit(run)
             self._news.add(run)
 

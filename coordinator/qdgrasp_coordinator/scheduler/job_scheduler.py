@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from math import inf
 
 import structlog
-from msgspec import structs
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
 from qdgrasp_coordinator.metrics.time_left import TimeLeft
@@ -435,9 +434,10 @@ class JobScheduler:
 
     def status(self, now: float) -> JobStatus:
         """Return the job's figures."""
-        figures = self.runs.status(self.job, len(self.workers), now)
-        figures = structs.replace(
-            figures,
+        figures = self.runs.status(
+            now,
+            job=self.job,
+            workers=len(self.workers),
             state=self.state,
             recorders=len(self._recorders),
             wanted_workers=self.dispatcher.wanted_workers(is_leasing=not (self.is_paused or self.is_ending)),

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from msgspec import structs
 
@@ -381,8 +382,8 @@ class RunRegistry:
         kept = {digest: scene for digest, scene in self._scenes.items() if digest not in old}
         self._scenes = kept | {bundle.digest: bundle}
 
-    def status(self, job: str, workers: int, now: float) -> JobStatus:
-        """Return the job's figures, as far as they are those of its runs."""
+    def status(self, now: float, **others: Any) -> JobStatus:
+        """Return the job's figures: those of its runs, and others."""
         opening = [self._loader.run] if self.is_loading and self._loader.run else []
         runs = [*self._open.values(), *opening]
         troubles = [self._loader.trouble if self.is_loading else "", *(run.sink.trouble for run in runs)]
@@ -391,7 +392,7 @@ class RunRegistry:
         spent = sum(run.tally.budget - run.remaining for run in runs)
         seconds = now - self._began
         return JobStatus(
-            job=job,
+            **others,
             runs=self.extent.runs,
             runs_done=self.extent.runs_done + self._done,
             runs_failed=len(self._failures),
@@ -400,7 +401,6 @@ class RunRegistry:
             remaining=sum(self._budgets.values()) - spent,
             **structs.asdict(found),
             waiting=sum(max(0, run.tally.rows - run.sink.durable) for run in self._open.values()),
-            workers=workers,
             seconds=seconds,
             rate=(found.evaluations - replayed) / seconds if seconds > 0 else 0.0,
             trouble=next(filter(None, troubles), ""),

@@ -135,7 +135,8 @@ class TestOpening:
         recorder.open(ask("a", "b"))
         recorder.add_rows(rows("a", 0, 10), 0.0)
         assert recorder.open(ask("b", "a")).durable == [0, 10]
-        assert recorder.due(1e9) == []
+        recorder.step(0.0)
+        assert recorder.deadline == inf
 
     @pytest.mark.parametrize(
         ("asked", "words"),
@@ -216,11 +217,10 @@ class TestRows:
         recorder.add_rows(rows("a", 0, 10), 1.0)
         recorder.add_rows(rows("b", 0, 20), 1.1)
         recorder.add_rows(rows("a", 10, 30), 1.2)
-        assert recorder.commit_deadline == 1.0 + GROUP_SECONDS
-        assert recorder.due(1.0 + GROUP_SECONDS) == ["a"]
-        recorder.commit("a")
+        assert recorder.deadline == 1.0 + GROUP_SECONDS
+        assert [report.run for report in recorder.step(1.0 + GROUP_SECONDS)] == ["a"]
         assert (recorder.writers["a"].durable, recorder.writers["b"].durable) == (30, 0)
-        assert recorder.due(1.1 + GROUP_SECONDS) == ["b"]
+        assert [report.run for report in recorder.step(1.1 + GROUP_SECONDS)] == ["b"]
 
     @pytest.mark.parametrize(("column", "number"), [("fitness", 3e38), ("outcome", 255), ("genome", 1e30)])
     def test_rows_with_a_number_that_cannot_be_are_not_recorded(self, recorder, column, number) -> None:
@@ -332,7 +332,7 @@ def test_an_opening_does_not_wait_for_the_commits_of_all_runs(path: Path, record
     for run in names:
         recorder.add_rows(rows(run, 0, 10), 0.0)
     steps = []
-    while recorder.commit_deadline < inf:
+    while recorder.deadline < inf:
         steps.append(len(recorder.step(GROUP_SECONDS)))
     assert steps == [COMMITS_AT_ONCE] * 3
 

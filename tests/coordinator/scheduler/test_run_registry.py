@@ -98,7 +98,7 @@ def test_what_remains_is_of_runs_that_are_not_over() -> None:
     coming = Coming("run", "other", "third")
 
     def remaining() -> int:
-        return coming.runs.status("job", 1, 0.0).remaining
+        return coming.runs.status(0.0, job="job", workers=1).remaining
 
     assert remaining() == 3 * 40
     run, other = coming.open(), coming.open()
