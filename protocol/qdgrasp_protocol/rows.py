@@ -53,11 +53,6 @@ class Outcome(IntEnum):
         return self >= Outcome.MISSED
 
     @property
-    def is_touched(self) -> bool:
-        """True if a finger touched the object at some time while closing."""
-        return self >= Outcome.BRUSHED
-
-    @property
     def is_success(self) -> bool:
         """True if a finger touches the object after closing: for S_G and coverage."""
         return self >= Outcome.DROPPED

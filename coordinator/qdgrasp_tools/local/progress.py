@@ -28,13 +28,14 @@ class ProgressDisplay(Protocol):
         """Say something that happened, in one line."""
 
 
-class ProgressBar(Progress):
-    """Bar with a job's name and time left; all figures stand in the lines below."""
+class LiveProgress(Progress):
+    """A moving bar on a terminal with a job's name and time left; all figures stand in the lines below."""
 
-    def __init__(self, console: Console) -> None:
-        name = TextColumn("{task.description}", markup=False)
+    def __init__(self, console: Console, name: str, budget: int) -> None:
+        said = TextColumn("{task.description}", markup=False)
         left = TextColumn("{task.percentage:.0f} %  {task.fields[left]}", markup=False)
-        super().__init__(name, BarColumn(None), left, console=console, expand=True)
+        super().__init__(said, BarColumn(None), left, console=console, expand=True)
+        self._job = self.add_task(printable(name), total=budget, words=STARTING, left="")
 
     def get_renderables(self) -> Iterable[RenderableType]:
         """Yield the bar, then the figures."""
@@ -42,18 +43,10 @@ class ProgressBar(Progress):
         for task in self.tasks:
             yield Text(task.fields["words"])
 
-
-class LiveProgress:
-    """A moving bar on a terminal."""
-
-    def __init__(self, bar: ProgressBar, name: str, budget: int) -> None:
-        self._bar = bar
-        self._task = bar.add_task(printable(name), total=budget, words=STARTING, left="")
-
     def show(self, figures: JobStatus) -> None:
         """Move the bar on."""
-        self._bar.update(
-            self._task,
+        self.update(
+            self._job,
             completed=figures.evaluations,
             total=max(1, figures.evaluations + figures.remaining),
             words=printable(figures.words),
@@ -62,7 +55,7 @@ class LiveProgress:
 
     def say(self, sentence: str) -> None:
         """Print a line above the bar."""
-        self._bar.console.print(printable(sentence), highlight=False, markup=False)
+        self.console.print(printable(sentence), highlight=False, markup=False)
 
 
 class LineProgress:
@@ -92,8 +85,8 @@ def progress_display(name: str, budget: int) -> Iterator[ProgressDisplay]:
     if not console.is_terminal:
         yield LineProgress(name)
         return
-    with ProgressBar(console) as bar:
-        yield LiveProgress(bar, name, budget)
+    with LiveProgress(console, name, budget) as bar:
+        yield bar
 
 
 @contextmanager

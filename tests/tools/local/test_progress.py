@@ -8,7 +8,7 @@ from rich.console import Console
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_tools.local import progress
-from qdgrasp_tools.local.progress import LineProgress, LiveProgress, ProgressBar
+from qdgrasp_tools.local.progress import LineProgress, LiveProgress
 
 EVIL = "\x1b[2J"
 FIGURES = JobStatus(
@@ -40,8 +40,8 @@ FIGURES = JobStatus(
 def seen(figures: JobStatus, width: int = 80) -> list[str]:
     """The lines on a terminal."""
     console = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
-    bar = ProgressBar(console)
-    LiveProgress(bar, "paper", figures.budget).show(figures)
+    bar = LiveProgress(console, "paper", figures.budget)
+    bar.show(figures)
     with console.capture() as captured:
         console.print(*bar.get_renderables())
     return [line.rstrip() for line in captured.get().splitlines()]

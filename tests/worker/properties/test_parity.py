@@ -11,6 +11,7 @@ import pytest
 from tests.worker import genomes
 
 from qdgrasp_assets.catalog import build_scene
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import RunSpec
 
 OBJECTS = ("rubiks_cube", "mug", "power_drill")
@@ -45,7 +46,7 @@ def evaluated(gripper, target, poses):
     """Our verdicts on poses."""
     spec = RunSpec(gripper=gripper, object=f"ycb_{target}", protocol="released")
     rows = genomes.evaluated(build_scene(spec), "given", poses)
-    said = [(each.is_simulated, each.is_touched, each.is_success) for each in genomes.outcomes(rows)]
+    said = [(each.is_simulated, each >= Outcome.BRUSHED, each.is_success) for each in genomes.outcomes(rows)]
     return verdicts(*np.array(said).T, rows["fitness"])
 
 

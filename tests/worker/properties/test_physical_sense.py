@@ -33,7 +33,7 @@ def touching(scene, poses: list[HandPose]) -> tuple[list[HandPose], list[Outcome
     world, successes, brushes = BulletShakenWorld(scene), [], []
     for pose in poses:
         outcome = ShakenEpisode(world, PAPER).run(TrialSetup(pose)).outcome
-        if outcome.is_touched:
+        if outcome >= Outcome.BRUSHED:
             (successes if outcome.is_success else brushes).append((pose, outcome))
         if min(len(successes), len(brushes)) >= POSES // 2:
             break
