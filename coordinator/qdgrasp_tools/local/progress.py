@@ -29,7 +29,7 @@ class ProgressDisplay(Protocol):
 
 
 class LiveProgress(Progress):
-    """A moving bar on a terminal with a job's name and time left; all figures stand in the lines below."""
+    """A bar on a terminal with a job's name and time left; all figures stand below it."""
 
     def __init__(self, console: Console, name: str, budget: int) -> None:
         said = TextColumn("{task.description}", markup=False)

@@ -59,7 +59,7 @@ class StartedChild(ChildProcess):
     """A child that starts no process."""
 
     def __init__(self, name: str, staff: Staff) -> None:
-        super().__init__(name, "", list, None, None, RestartPolicy())
+        super().__init__(name, "", list, None, RestartPolicy())
         self._staff = staff
 
     def start(self, now: float) -> None:
@@ -148,7 +148,7 @@ class ListeningJob(ProcessSupervisor):
         self.coordinators: list[list[str]] = []
         self.others: list[list[str]] = []
 
-    def start(self, name: str, _module: str, arguments: Any, core: int | None = None) -> None:
+    def start(self, name: str, _module: str, arguments: Any) -> None:
         if name != "coordinator":
             self.others.append(arguments)
             return
