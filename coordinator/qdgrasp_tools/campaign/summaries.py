@@ -102,7 +102,7 @@ class RunSummary(RunListing, frozen=True, kw_only=True):
     def table(self) -> str:
         """All figures, one to a line."""
         values = dict.fromkeys(FIRST_FIELDS, "") | structs.asdict(self)
-        platform, _, _ = values.pop("platform"), values.pop("outcomes"), values.pop("folder")
+        platform, _ = values.pop("platform"), values.pop("outcomes")
         values["diversity"], values["nu"] = self.diversity.words, self.nu.words
         values["eta"] = None if self.eta is None else self.eta.words
         shares = values.pop("in_both")

@@ -76,6 +76,12 @@ def info(*arguments: object) -> Result:
     return CliRunner().invoke(app, ["info", *map(str, arguments)])
 
 
+def test_a_run_says_what_it_has_found(path: Path) -> None:
+    done = info(path)
+    assert done.exit_code == 0, done.exception
+    assert "rows             5" in done.stdout.splitlines()
+
+
 def test_a_campaign_says_what_its_objects_got_and_which_got_little(campaign: Path) -> None:
     lines = info(campaign).stdout.splitlines()
     assert "runs done        15" in lines
