@@ -249,10 +249,10 @@ class EliteStore:
         """The surface points (n, 3) [m] that the grasps at `places` (n,) look at."""
         return self._at("point", places)
 
-    def distances(self, options: Places, points: Floats) -> Floats:
-        """Return the distances of surface points of `options` (n, k) from points (n, 3): (n, k) [m]."""
-        ways = self._at("point", options) - points[:, None]
-        distances: Floats = np.sqrt((ways * ways).sum(axis=2))
+    def distances(self, places: Places, points: Floats) -> Floats:
+        """Return the distances [m] of surface points at places (n, ...) from points (n, ..., 3)."""
+        ways = self._at("point", places) - points
+        distances: Floats = np.sqrt((ways * ways).sum(axis=-1))
         return distances
 
     def rolls(self, places: Places, directions: Floats) -> Floats:

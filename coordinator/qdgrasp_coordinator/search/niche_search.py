@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import TOUCH_VALUE
-from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, from_frame, multiply, tangents, turned
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, from_frame, multiply, tangents, turned
 from qdgrasp_assets.scene import Vector
 from qdgrasp_coordinator.metrics.cells import BINS, GenomeReader, clear_orientations, orientations
 from qdgrasp_coordinator.search.base import PositionBox, SearchSpace, keyed_generator
@@ -260,12 +260,7 @@ class NicheSearch(ValueSearch):
     ) -> tuple[NDArray[np.intp], Niches]:
         """Return at most `PARENTS` niches (m,) in and around each target, with the target's row."""
         rows, niches = self._elites.among(self._frontier.block(targets))
-        preference = self._elites.preference(niches, generator)
-        least, greatest = self._within
-        ways = self._elites.points(niches) - self._frontier.centres(targets)[rows]
-        distances = np.sqrt(dot(ways, ways))
-        is_near = (distances >= least) & (distances <= greatest)
-        preference = np.where(is_near, preference, np.minimum(preference, 0.0))
+        preference = self._preference(niches, self._frontier.centres(targets)[rows], generator)
         order = np.lexsort((-preference, rows))
         rows, niches = rows[order], niches[order]
         _, first, counts = np.unique(rows, return_index=True, return_counts=True)
@@ -293,7 +288,7 @@ class NicheSearch(ValueSearch):
         held = np.bincount(
             around[is_full] * span + self._elites.kinds(niches[is_full]), minlength=span * len(targets)
         )
-        ways = self._elites.points(parents) - self._frontier.centres(targets)[rows]
+        distances = self._elites.distances(parents, self._frontier.centres(targets)[rows])
         return np.stack(
             [
                 held[rows * span + kinds] / len(NEIGHBOURS),
@@ -302,7 +297,7 @@ class NicheSearch(ValueSearch):
                 np.cos(2.0 * turns),
                 np.cos(4.0 * turns),
                 self._elites.places(parents) == targets[rows],
-                np.sqrt(dot(ways, ways)) / self._space.distances[1],
+                distances / self._space.distances[1],
                 clearness,
                 np.ones(len(rows)),
             ],

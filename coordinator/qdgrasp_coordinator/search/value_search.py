@@ -332,13 +332,17 @@ class ValueSearch:
     def _parents(self, targets: Places, generator: np.random.Generator) -> Places:
         """Choose for each target a success in or around it, at a wanted distance where possible."""
         options = self._frontier.block(targets)
-        preference = self._elites.preference(options, generator)
-        least, greatest = self._within
-        distances = self._elites.distances(options, self._frontier.centres(targets))
-        is_near = (distances >= least) & (distances <= greatest)
-        preference = np.where(is_near, preference, np.minimum(preference, 0.0))
+        preference = self._preference(options, self._frontier.centres(targets)[:, None], generator)
         parents: Places = options[np.arange(len(targets)), preference.argmax(axis=1)]
         return parents
+
+    def _preference(self, options: Places, centres: Floats, generator: np.random.Generator) -> Floats:
+        """Return the preference (n, ...) of elites for cells; at no wanted distance at most 0."""
+        preference = self._elites.preference(options, generator)
+        least, greatest = self._within
+        distances = self._elites.distances(options, centres)
+        is_near = (distances >= least) & (distances <= greatest)
+        return np.where(is_near, preference, np.minimum(preference, 0.0))
 
     def _varied(self, postures: Floats, generator: np.random.Generator) -> Floats:
         """Postures (n, k) with some synergies drawn anew and free joints moved a little."""

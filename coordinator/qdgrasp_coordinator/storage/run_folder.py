@@ -26,8 +26,7 @@ from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE,
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import FolderError, MessageError
 from qdgrasp_protocol.rows import Outcome, RowShape
-from qdgrasp_protocol.spec import RunSpec, differences, read_run_spec, run_spec, to_toml
-from qdgrasp_protocol.text import first_few
+from qdgrasp_protocol.spec import RunSpec, read_run_spec, run_spec, to_toml
 
 Files = Mapping[str, bytes]
 """Contents of files by name."""
@@ -51,9 +50,6 @@ def journal_digest(journal: Journal) -> str:
     for rows in journal.blocks():
         total.update(rows.tobytes())
     return total.hexdigest()
-
-
-SHOWN = 3  # Most keys named where two files are of different runs
 
 
 class RunFolder:
@@ -95,7 +91,10 @@ class RunFolder:
         """Return the folder of a run that was begun; raise `FolderError` without one."""
         outputs.check_folder(path)
         if not cls.is_run(path):
-            raise FolderError(_no_run_reason(path))
+            raise FolderError(
+                f"{path} holds no run, which has {SPEC} and {JOB}; name a run's folder, of a campaign one in "
+                f"{path / RUNS}."
+            )
         return cls(path)
 
     @staticmethod
@@ -184,17 +183,10 @@ class RunFolder:
     def journal(self) -> Journal:
         """Return the journal as it is now, for a with-block; empty before a recorder opened the run.
 
-        Raises `FolderError` where it cannot be read, or is of another run than the spec
-        or the scene here.
+        Raises `FolderError` where it cannot be read.
         """
         if (self.path / JOURNAL).exists():
-            journal = Journal.open(self.path)
-            try:
-                self._check_own(journal)
-            except BaseException:
-                journal.close()
-                raise
-            return journal
+            return Journal.open(self.path)
         scene = self.bundle().digest if self.has_bundle() else ""
         return Journal.empty(JournalIdentity(self.run, to_toml(self.spec), scene, RowShape(0, 0)))
 
@@ -204,19 +196,6 @@ class RunFolder:
         with self.journal() as journal:
             blocks = chain([journal.shape.empty(0)], journal.blocks())
             return join_successes([*find_successes(blocks, TrialPlan.of(spec), spec.overlaps, least=least)])
-
-    def _check_own(self, journal: Journal) -> None:
-        """Check that a journal is of this folder's spec, with any budget, and of its scene."""
-        keys, file = [], self.path / SPEC
-        if journal.spec_text != outputs.read(file).decode(errors="replace"):
-            keys = differences(journal.spec, self.spec)
-        if not keys and self.has_bundle() and self.bundle().digest != journal.scene:
-            keys, file = ["scene"], self.path / SCENE
-        if keys:
-            raise FolderError(
-                f"{self.path / JOURNAL} is the journal of a run with another {first_few(keys, SHOWN)} than "
-                f"{file}: restore one of the two from a copy."
-            )
 
 
 def run_files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:
@@ -228,16 +207,6 @@ def run_files(spec: RunSpec, bundle: Bundle | None) -> dict[str, bytes]:
 def _job_path(path: Path) -> Path:
     is_part = not JobFolder.is_job(path) and path.absolute().parent.name == RUNS
     return path.absolute().parent.parent if is_part else path
-
-
-def _no_run_reason(path: Path) -> str:
-    if JobFolder.is_job(path) and JobFolder(path).is_campaign:
-        return f"{path} holds a campaign; name one of its runs, a folder in {path / RUNS}."
-    there = [name for name in (SPEC, JOB) if outputs.is_file(path / name)]
-    if not there:
-        return f"{path} holds no run: there is neither {SPEC} nor {JOB} in it; name a run's folder."
-    (missing,) = {SPEC, JOB} - {*there}
-    return f"{path} holds no whole run: it has {there[0]}, but no {missing}; restore that from a copy."
 
 
 class Provenance(NamedTuple):

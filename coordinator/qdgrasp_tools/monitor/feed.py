@@ -2,7 +2,7 @@
 
 Messages wait in ring buffers until a thread takes them: however slow a monitor is, and though it be stopped,
 no other process waits for it. Another thread sends the queries: a missing answer delays nothing.
-`query_jobs` queries once, for commands that print and end.
+`reachable_jobs` queries once, for commands that print and end.
 """
 
 import threading
@@ -130,19 +130,14 @@ class Feed:
         self._changed.notify_all()
 
 
-def query_jobs(bus: Bus) -> JobModels:
-    """Return the jobs whose coordinators answer now."""
+def reachable_jobs(bus: Bus) -> list[JobView]:
+    """Return the jobs whose coordinators answer now, by name."""
     jobs = JobModels()
     queries = jobs.due_queries(time.time())
     with ThreadPoolExecutor(len(queries)) as pool:  # a missing answer is waited for once
         answers = list(pool.map(lambda query: bus.ask_all(query, timeout=OVERVIEW_SECONDS), queries))
     jobs.receive_answers({key: value for values in answers for key, value in values.items()}, time.time())
-    return jobs
-
-
-def reachable_jobs(bus: Bus) -> list[JobView]:
-    """Return the jobs whose coordinators answer now, by name."""
-    return query_jobs(bus).views(time.time())
+    return jobs.views(time.time())
 
 
 def summary_lines(view: JobView) -> Iterator[str]:

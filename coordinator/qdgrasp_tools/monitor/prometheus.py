@@ -33,7 +33,6 @@ COUNTER, GAUGE = CounterMetricFamily, GaugeMetricFamily
 
 Family: TypeAlias = type[CounterMetricFamily] | type[GaugeMetricFamily]
 Samples: TypeAlias = Iterable[tuple[Sequence[str], float]]  # Values of a metric's labels, and its own
-StateCounts: TypeAlias = Callable[[JobView], Iterable[tuple[str, float]]]
 MetricSpec: TypeAlias = tuple[str, Family, str, str]
 """A figure that is a metric: its field, its family, its name where that is not the field's, and its unit."""
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rich.cells import cell_len
-from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.console import Console, ConsoleOptions, Group, RenderResult
 from rich.filesize import decimal
 from rich.progress_bar import ProgressBar
 from rich.rule import Rule
@@ -318,8 +318,3 @@ class OutcomeBar(NamedTuple):
             legend.append(fill, colour).append(f"{name} {share}  ")
         yield bar
         yield legend
-
-
-def titled(title: str, part: RenderableType) -> Group:
-    """Return a part of the screen below its title."""
-    return Group(rule(title), part)

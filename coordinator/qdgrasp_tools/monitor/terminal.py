@@ -168,7 +168,7 @@ def _body(shown: ScreenState, choice: ScreenSelection, width: int, room: int) ->
     jobs = Layout(screen.job_list(shown.views, chosen), size=rows)
     if choice.list:
         return [jobs, Layout(LISTS[choice.list](view, choice.top))]
-    summary = Layout(screen.titled(view.job, screen.job_summary(view)), size=SUMMARY_ROWS)
+    summary = Layout(Group(screen.rule(view.job), screen.job_summary(view)), size=SUMMARY_ROWS)
     return [jobs, summary, *_below(view, width, room - rows - SUMMARY_ROWS)]
 
 
@@ -297,9 +297,4 @@ def status_lines(shown: ScreenState) -> list[str]:
 
 def screen_state(feed: Feed, endpoint: str) -> ScreenState:
     """Return the state of a feed as the screen shows it now."""
-    return ScreenState(feed.views(), endpoint, local_time(), feed.is_linked)
-
-
-def local_time() -> datetime:
-    """Return the time in the local zone."""
-    return utc_now().astimezone()
+    return ScreenState(feed.views(), endpoint, utc_now().astimezone(), feed.is_linked)
