@@ -33,7 +33,7 @@ from qdgrasp_assets.grippers.gripper_file import GripperFile, gripper_faults, re
 from qdgrasp_assets.grippers.hand_model import guess_base, read_hand_model
 from qdgrasp_assets.grippers.mjcf import is_mjcf, read_mjcf
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element
-from qdgrasp_assets.grippers.urdf_checks import mesh_faults, motion_faults, structure_faults, weight_faults
+from qdgrasp_assets.grippers.urdf_checks import hand_faults, motion_faults, structure_faults, weight_faults
 from qdgrasp_assets.object_model import ObjectDraft
 from qdgrasp_assets.scene import Vector, vector
 from qdgrasp_assets.ycb import lengths_in_words
@@ -304,7 +304,7 @@ def examine_urdf(
             return msgspec.structs.replace(report, faults=faults), None
         base = overrides.base_link or guess_base(robot)[0]
         overrides, shown = replace(overrides, base_link=base), with_visual_shapes(robot)
-        if faults := hand_faults(robot, base):
+        if base in robot.links and (faults := hand_faults(robot.subtree(base))):
             drawn = None
             with suppress(QdgraspError, ValueError):  # already reported
                 drawn, _ = _drafted(shown, urdf, name, overrides)
@@ -353,17 +353,10 @@ def read_robot(urdf: Path) -> tuple[Urdf | None, tuple[str, ...]]:
     return None, (*faults, *motion_faults(element), *weight_faults(element))
 
 
-def hand_faults(robot: Urdf, base: str) -> tuple[str, ...]:
-    """Return the faults of joints, masses and shapes of the hand from link `base` on."""
-    if base not in robot.links:
-        return ()
-    hand = robot.subtree(base)
-    return (*motion_faults(hand.element), *weight_faults(hand.element), *mesh_faults(hand))
-
-
 def examine_hand(robot: Urdf, file: GripperFile, name: str) -> GripperReport:
     """Examine a hand whose file and URDF are read already."""
-    impossible = (*gripper_faults(file, robot), *hand_faults(robot, file.base_link))
+    base, impossible = file.base_link, [*gripper_faults(file, robot)]
+    impossible += hand_faults(robot.subtree(base)) if base in robot.links else ()
     if impossible:
         return GripperReport(name=name, faults=tuple(dict.fromkeys(impossible)))
     body = read_hand_model(robot, file.base_link)

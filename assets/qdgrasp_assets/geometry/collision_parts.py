@@ -43,12 +43,6 @@ LIFT = 1e-6  # Offset above the surface at which rays begin, so that they do not
 OUT = 1e-5  # Offset in front of the surface of the points tested for being inside [m]
 FEW = 1e-3  # Share of the surface that seems to be inside below which it is rounding
 PAIRS = 1 << 26  # Pairs of point and face that are compared at once: half a gigabyte
-MANY_FACES = 20_000
-"""Faces of a convex part above which points are compared with some of them first.
-
-Only hulls of dense round meshes have so many; what is found is the same.
-"""
-SOME_FACES = 500  # Faces that are compared first: those of a ball leave out most points before it
 MOST = 0.01  # Largest share of the surface that is wrong in a good fit; a mug's handle, filled: 2 %
 
 
@@ -116,9 +110,6 @@ def is_within(part: Mesh, points: Floats, margin: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of the points within `margin` [m] of a convex part, by its planes."""
     low, high = part.bounds
     within: NDArray[np.bool_] = np.all((points >= low - margin) & (points <= high + margin), axis=1)
-    if len(part.faces) > MANY_FACES:
-        some = Mesh(part.vertices, part.faces[:: len(part.faces) // SOME_FACES])
-        within[within] = (heights(some, points[within]) <= margin).all(axis=1)
     near = points[within]
     rows = max(1, PAIRS // len(part.faces))
     blocks = [near[start : start + rows] for start in range(0, len(near), rows)] or [near]

@@ -1,13 +1,14 @@
 """Draft of a gripper's file: what its user says, the rest guessed by geometry, with reasons."""
 
 import json
+import re
 import textwrap
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from msgspec import UNSET, Struct, structs
+from msgspec import UNSET, Struct, structs, to_builtins
 
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import closing_motion
@@ -367,18 +368,12 @@ def _table(table: Struct) -> Iterator[str]:
 
 
 def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    if isinstance(value, Iterable):
-        values = [_value(each) for each in value]
-        short = f"[{', '.join(values)}]"
-        long = "".join(["[\n", *(f"  {each},\n" for each in values), "]"])
-        return short if len(short) < LINE_WIDTH else long
-    return repr(round(float(value), 6) + 0.0)
+    """Return a value as TOML, which is JSON; a long list with a line for each entry."""
+    text = json.dumps(to_builtins(value), ensure_ascii=False)
+    if len(text) < LINE_WIDTH or not isinstance(value, tuple):
+        return text
+    return "".join(["[\n", *(f"  {_value(each)},\n" for each in value), "]"])
 
 
 def _key(name: str) -> str:
-    is_bare = all(letter.isascii() and (letter.isalnum() or letter in "-_") for letter in name)
-    return name if is_bare and name else json.dumps(name, ensure_ascii=False)
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)

@@ -251,9 +251,6 @@ def _closing_notes(hand: HandPostures) -> Iterator[str]:
             f"paper, released and robust with base paper close the hand for {CLOSING_TIME:.2f} s, in which "
             f"it does not close wholly: {', '.join(late)}; physical waits until it has closed"
         )
-    pairs = [(one, other) for one, other, _ in deep_pairs(hand, 0.0) if is_always_deep(hand, one, other)]
-    if linked := ", ".join(f"'{one}' and '{other}'" for one, other in pairs):
-        yield f"in each other in every posture, as links of one linkage are: {linked}"
 
 
 TOUCHING = 3e-3

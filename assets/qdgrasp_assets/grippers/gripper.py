@@ -23,7 +23,7 @@ from qdgrasp_assets.grippers.gripper_file import (
     urdf_path,
 )
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf, without_visuals
-from qdgrasp_assets.grippers.urdf_checks import mesh_faults, motion_faults, weight_faults
+from qdgrasp_assets.grippers.urdf_checks import hand_faults
 from qdgrasp_assets.scene import CarrierJoint, FreeJoint, Jaw, Joint, SceneGripper, unit_vector
 from qdgrasp_protocol.errors import AssetError
 
@@ -171,8 +171,7 @@ class Gripper:
         """Check that a joint closes, and the hand's joints, masses and meshes; `AssetError`."""
         if not any(each.closes for each in self.file.joints.values()):
             raise AssetError(f"The gripper '{self.name}': {NOTHING_CLOSES}.")
-        hand = self.robot.subtree(self.file.base_link)
-        if found := (*motion_faults(hand.element), *weight_faults(hand.element), *mesh_faults(hand)):
+        if found := hand_faults(self.robot.subtree(self.file.base_link)):
             raise AssetError(f"The URDF '{self.robot.path}' cannot be used as it is: {'; and '.join(found)}.")
 
     def on_carrier(self, protocol: str) -> SceneGripper:

@@ -317,10 +317,10 @@ class _NameSet:
 
 def _frame(position: Floats, quaternion: Floats) -> Floats:
     """Return the frame (4, 4) of a position (3,) [m] and a unit quaternion (w, x, y, z)."""
-    w, (x, y, z) = quaternion[0], quaternion[1:]
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    from scipy.spatial.transform import Rotation  # slow to import
+
     frame = _shift(position)
-    frame[:3, :3] += 2 * w * skew + 2 * skew @ skew
+    frame[:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
     return frame
 
 

@@ -242,37 +242,17 @@ SIMULATOR_FORMATS = (".stl", ".obj", ".dae")  # Mesh files that the simulator re
 
 def mesh_faults(hand: Urdf) -> tuple[str, ...]:
     """Return the faults that keep a hand's shapes from being simulated."""
-    if missing := missing_meshes(hand):
-        return missing
     faults = (_shape_fault(hand, link, shape) for link, shape in collision_elements(hand))
-    return tuple(fault for fault in faults if fault)
+    return tuple(dict.fromkeys(fault for fault in faults if fault))
+
+
+def hand_faults(hand: Urdf) -> tuple[str, ...]:
+    """Return the faults of joints, masses and shapes of a hand without an arm."""
+    return (*motion_faults(hand.element), *weight_faults(hand.element), *mesh_faults(hand))
 
 
 def _suffix(name: str) -> str:
     return PurePosixPath(name).suffix.lower()
-
-
-def missing_meshes(hand: Urdf) -> tuple[str, ...]:
-    """Return a sentence for each collision mesh file that is missing or cannot be read."""
-    faults = []
-    for name, links in _references(hand).items():
-        try:
-            hand.mesh(name)
-        except AssetError:
-            whose = f"of the link{'s' * (len(links) > 1)} {', '.join(quoted(links))}"
-            faults.append(f"the mesh '{name}' {whose} {_missing_mesh(hand, name)}")
-    return tuple(faults)
-
-
-def _references(hand: Urdf) -> dict[str, list[str]]:
-    """Return the mesh files with the links that use them for collision, in the file's order."""
-    found: dict[str, list[str]] = {}
-    for link, shape in collision_elements(hand):
-        for mesh in shape.iter("mesh"):
-            links = found.setdefault(mesh.get("filename", ""), [])
-            if link not in links:
-                links.append(link)
-    return found
 
 
 def _missing_mesh(hand: Urdf, name: str) -> str:
@@ -313,12 +293,16 @@ def _shape_fault(hand: Urdf, link: str, shape: ET.Element) -> str:
 
 def _mesh_fault(hand: Urdf, link: str, shape: ET.Element, name: str) -> str:
     mesh = f"the mesh '{name}' of the link '{link}'"
+    try:
+        content = hand.mesh(name)
+    except AssetError:
+        return f"the mesh '{name}' {_missing_mesh(hand, name)}"
     if _suffix(name) not in SIMULATOR_FORMATS:
         return (
             f"{mesh} is a {_suffix(name) or 'nondescript'} file, and the simulator reads "
             f"{', '.join(SIMULATOR_FORMATS)}: save it as one, or use --repair"
         )
-    if _suffix(name) == ".stl" and stl_triangles(hand.mesh(name)) is None:
+    if _suffix(name) == ".stl" and stl_triangles(content) is None:
         return f"{mesh} is no binary STL file, which alone the simulator reads: save it so, or use --repair"
     try:
         corners = np.concatenate([np.zeros((0, 3)), *collision_corners(hand, link, shape)])

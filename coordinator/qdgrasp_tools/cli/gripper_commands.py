@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from qdgrasp_assets.asset_report import examine_draft, examine_gripper, examine_urdf, hand_faults, read_hand
+from qdgrasp_assets.asset_report import examine_draft, examine_gripper, examine_urdf, read_hand
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf
@@ -18,6 +18,7 @@ from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.mjcf import is_mjcf
 from qdgrasp_assets.grippers.urdf import Urdf
+from qdgrasp_assets.grippers.urdf_checks import hand_faults
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue
@@ -192,7 +193,7 @@ def _usable_robot(
     base, reason = (given.base_link, given.base_reason) if given.base_link else guess_base(robot)
     if base not in robot.links:
         return robot, given
-    found = hand_faults(robot, base)
+    found = hand_faults(robot.subtree(base))
     if found and not repair:
         raise AssetError(
             f"The URDF '{robot.path}' cannot be used as it is: {'; and '.join(found)}. "

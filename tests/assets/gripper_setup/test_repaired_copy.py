@@ -8,12 +8,13 @@ import trimesh
 from tests.assets import synthetic_hands
 from tests.assets.example_hands import BOX, INERTIA, write_arch
 
-from qdgrasp_assets.asset_report import examine, hand_faults
+from qdgrasp_assets.asset_report import examine
 from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf
 from qdgrasp_assets.grippers.gripper_file import OriginalBase, read_gripper_file
 from qdgrasp_assets.grippers.urdf import read_urdf
+from qdgrasp_assets.grippers.urdf_checks import hand_faults
 from qdgrasp_protocol.errors import AssetError
 
 EYE = (
@@ -28,7 +29,7 @@ def repaired(urdf, *, may_centre=True):
     """The copy of the jaw from its palm on, after it was seen to be usable."""
     target = urdf.parent / "own.toml"
     with repaired_copy(read_urdf(urdf), "palm", target, lambda _: None, may_centre=may_centre) as copy:
-        assert hand_faults(copy.robot, copy.base) == ()
+        assert hand_faults(copy.robot.subtree(copy.base)) == ()
     file = draft_gripper(copy.robot, copy.robot.path.name, DraftOverrides(base_link=copy.base))
     target.write_text(draft_toml(file, target.name))
     assert examine(target, "own").faults == ()

@@ -51,7 +51,7 @@ def faults(toml):
         (f'<inertial><mass value="0.5"/>{INERTIA}</inertial>', "", "'palm' is without a mass and an inertia"),
         ('<mass value="0.1"/>', "", "without a mass and an inertia"),
         (f'<mass value="0.1"/>{INERTIA}', '<mass value="0.1"/>', "without a mass and an inertia"),
-        (BOX, '<mesh filename="pad.stl"/>', "the mesh 'pad.stl' of the links 'left', 'right' does not"),
+        (BOX, '<mesh filename="pad.stl"/>', "the mesh 'pad.stl' does not"),
         (BOX, '<mesh filename="package://robotiq/pad.stl"/>', "put the ROS package 'robotiq' there, or"),
         (BOX, '<capsule radius="0.01" length="0.02"/>', "a collision shape <capsule>, and URDF knows mesh,"),
         (BOX, '<box size="0.02 -0.01 0.06"/>', "a collision shape <box> of the size '0.02 -0.01 0.06': it"),
