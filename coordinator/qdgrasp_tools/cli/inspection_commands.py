@@ -4,6 +4,7 @@ Also `methods`, which lists the search methods.
 """
 
 import json
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -239,10 +240,12 @@ def view(
         from qdgrasp_tools.monitor.records import FolderIndex
         from qdgrasp_tools.monitor.web.server import folder_routes, serve
 
-        routes = folder_routes(FolderIndex(directories))
-        serve(
-            routes, host, port, "", stop, lambda address: echo(f"The grasps are at {address} until Ctrl-C.")
-        )
+        def opened(address: str) -> None:
+            echo(f"The grasps are at {address} until Ctrl-C.")
+            if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+                typer.launch(address)
+
+        serve(folder_routes(FolderIndex(directories)), host, port, "", stop, opened)
     raise typer.Exit(stop.exit_code)
 
 
