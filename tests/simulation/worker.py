@@ -351,7 +351,7 @@ class Worker(Process):
         for pattern in (KEYS.work(self.wid), KEYS.ctl(self.wid)):
             self.network.subscribe(self.session, pattern)
         self.network.watch(self.session, KEYS.coordinator_token())
-        while not self.service._shutdown.is_over(self.now):
+        while not self.service._is_over(self.now):
             yield Listen(self.service._wait_seconds(self.now))
             for event in self.events():
                 self.service._take(event, self.now)  # type: ignore[arg-type]

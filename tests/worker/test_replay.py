@@ -17,10 +17,12 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.replay_messages import ReplayAnswer, ReplayRequest, Snapshot
 from qdgrasp_protocol.rows import GIVEN, RESULT, Outcome, Rows
 from qdgrasp_worker import replay
+from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.evaluation_protocols import scene_protocol
 from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.replay import replay_evaluation, requested_grasp
+from qdgrasp_worker.object_geometry import ObjectSurface
+from qdgrasp_worker.replay import replay_evaluation
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,8 @@ def test_a_hand_that_was_stopped_on_its_way_is_placed_where_it_stopped(make_scen
     stopped = 0
     for row in found.rows[found.rows["outcome"] >= Outcome.DROPPED]:
         shots = [shot for shot in replayed(scene, row).snapshots if shot.phase == "placed"]
-        goal = scene_protocol(scene).trial(requested_grasp(scene, request(row))[0], 3).pose
+        genome = np.array([request(row).genome], dtype=np.float32)
+        goal = scene_protocol(scene).trial(Decoder(scene, GIVEN, ObjectSurface(scene))(genome)[0], 3).pose
         back = np.linalg.inv(frame((*goal.position, *goal.quaternion))) @ hand(scene, shots[-1])
         assert np.allclose(back[:3, :3], np.eye(3), atol=1e-6)
         assert np.allclose(back[:2, 3], 0.0, atol=1e-6)

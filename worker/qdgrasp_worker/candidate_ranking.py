@@ -44,7 +44,10 @@ def scores(features: NDArray[np.float32], weights: Floats) -> Floats:
     value = logistic(weighted_sums(features, touch)) * (
         TOUCH_VALUE + (1.0 - TOUCH_VALUE) * logistic(weighted_sums(features, hold))
     )
-    return np.where(touch.any(axis=1), value.round(VALUE_DECIMALS), default_scores(features))
+    usual = weighted_sums(
+        features[:, : len(DEFAULT_WEIGHTS)], np.broadcast_to(DEFAULT_WEIGHTS, (len(features), 2))
+    )
+    return np.where(touch.any(axis=1), value.round(VALUE_DECIMALS), usual)
 
 
 def thresholds(weights: Floats) -> Floats:
@@ -58,11 +61,6 @@ def weighted_sums(features: NDArray[np.float32], weights: Floats) -> Floats:
     for i in range(features.shape[1]):
         total += weights[:, i] * features[:, i]
     return total
-
-
-def default_scores(features: NDArray[np.float32]) -> Floats:
-    """Scores (p,) of poses while no weights are learned."""
-    return weighted_sums(features[:, : len(DEFAULT_WEIGHTS)], np.tile(DEFAULT_WEIGHTS, (len(features), 1)))
 
 
 def logistic(values: Floats) -> Floats:
@@ -219,11 +217,6 @@ class Shortlist:
     """Poses that do not surely overlap and score high enough, in the order in which they are tried."""
     fallback: Outcome
     """The outcome if none of them is simulated."""
-
-    @property
-    def is_choice(self) -> bool:
-        """True if one of several poses is to be found."""
-        return self.poses > 1
 
 
 class CandidateScreen:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from time import monotonic
@@ -40,7 +41,6 @@ ROW_SECONDS, DEVICE_SECONDS = 30.0, 900.0
 
 @app.command()
 def worker(
-    context: typer.Context,
     connect: cli_support.ConnectOption = None,
     security: cli_support.SecurityOption = None,
     job: Annotated[str | None, typer.Option(help="Serve this job only; default: every job there is.")] = None,
@@ -118,7 +118,7 @@ def worker(
             return
         configure_logging("worker")
         if workers > 1:
-            pool = WorkerPool(workers, worker_arguments(context), grace=grace)
+            pool = WorkerPool(workers, [*sys.argv[1:], "--workers", "1"], grace=grace)
             pool.run(stop)
             raise typer.Exit(stop.exit_code or pool.exit_code)
         from qdgrasp_worker.runtime.simulator_supervisor import SimulatorSupervisor, simulator_command
@@ -213,17 +213,6 @@ class WorkerPool:
     def _give_up(self, death: ProcessExit) -> None:
         self._running.discard(death.name)
         self.exit_code = death.exit_code if death.exit_code >= 0 else 1
-
-
-def worker_arguments(context: typer.Context) -> list[str]:
-    """The options of a command as they were given, without the pool's own."""
-    given: list[str] = []
-    for option in context.command.params:
-        value = context.params.get(option.name or "")
-        if option.name == "workers" or value is None or value is False:
-            continue
-        given += [option.opts[0]] if value is True else [option.opts[0], str(value)]
-    return given
 
 
 def main() -> None:

@@ -206,24 +206,13 @@ POSTURES_PER_STEP = 8  # Interpolated postures for each step
 FREE_JOINT_PLACES = (0.0, 1.0)  # Places of the free joints on their ranges in the measured closings
 
 
-@dataclass(frozen=True)
-class ClearanceBalls:
-    """Balls that no zone may come near."""
+def clearances(balls: Balls, sight: float) -> tuple[Singles, NDArray[np.uint8]]:
+    """Centres (n, 3) [m] of balls, and their least distances (n,) from a zone, in its units.
 
-    centres: Singles
-    """(n, 3) [m]."""
-    min_distances: NDArray[np.uint8]
-    """(n,): least distance of each ball from a zone, in the zone's units."""
-
-    @classmethod
-    def of(cls, balls: Balls, sight: float) -> Self:
-        """Balls with the clearance for contacts that begin at `sight` [m]."""
-        far = np.ceil((balls.radii + sight) / DISTANCE_UNIT).clip(0, 255)
-        return cls(balls.centres.astype(np.float32), far.astype(np.uint8))
-
-    def select(self, which: NDArray[np.bool_]) -> Self:
-        """The balls where `which` (n,) is True."""
-        return replace(self, centres=self.centres[which], min_distances=self.min_distances[which])
+    Contacts begin at `sight` [m].
+    """
+    far = np.ceil((balls.radii + sight) / DISTANCE_UNIT).clip(0, 255)
+    return balls.centres.astype(np.float32), far.astype(np.uint8)
 
 
 class ContactFilter:
@@ -253,9 +242,7 @@ class ContactFilter:
         self._zones: dict[int, dict[str, DistanceField]] = {}
         if self.is_known:
             cover, clear = BoundingBalls.of(solid), contact_range(solid, sight)
-            self._large, self._small = (
-                ClearanceBalls.of(balls, clear) for balls in (cover.large, cover.small)
-            )
+            self._large, self._small = clearances(cover.large, clear), clearances(cover.small, clear)
             self._counts = cover.counts
 
     def prepare(self, synergy: int) -> None:
@@ -288,12 +275,13 @@ class ContactFilter:
         A large ball inside the zone is enough for False.
         """
         frame = turn.astype(np.float32), move.astype(np.float32)
-        away = zone.lower_bounds(self._large.centres, *frame)
-        is_near = away <= self._large.min_distances
+        (large, least), (small, small_least) = self._large, self._small
+        away = zone.lower_bounds(large, *frame)
+        is_near = away <= least
         if not is_near.any() or not away.all():
             return not is_near.any()
-        small = self._small.select(np.repeat(is_near, self._counts))
-        return bool((zone.lower_bounds(small.centres, *frame) > small.min_distances).all())
+        some = np.repeat(is_near, self._counts)
+        return bool((zone.lower_bounds(small[some], *frame) > small_least[some]).all())
 
     def _measure(self, synergy: int) -> dict[str, DistanceField]:
         """Close the hand from each of `FREE_JOINT_PLACES`; return the zone in each mount's frame."""

@@ -92,15 +92,9 @@ def pose_seen_from(position: Floats, quaternion: Floats, pose: HandPose) -> Hand
     offset = rotate(back, np.array(pose.position) - position)
     return replace(
         pose,
-        position=round_to_float32(offset),
-        quaternion=round_to_float32(multiply(back, np.array(pose.quaternion))),
+        position=offset.astype(np.float32).tolist(),
+        quaternion=multiply(back, np.array(pose.quaternion)).astype(np.float32).tolist(),
     )
-
-
-def round_to_float32(values: Floats) -> list[float]:
-    """Values rounded to float32."""
-    single: list[float] = values.astype(np.float32).tolist()
-    return single
 
 
 def draw_friction(random: Generator, interval: tuple[float, float]) -> float:
@@ -282,14 +276,9 @@ ROBUST_BY_BASE = {"physical": replace(PHYSICAL, name=ROBUST.name, mixture=SMALL_
 
 def scene_protocol(scene: Scene) -> EvaluationProtocol:
     """The protocol of a scene, with its approach; UnknownName if it does not exist."""
-    return replace(_named_protocol(scene), approach_distance=scene.approach_distance)
-
-
-def _named_protocol(scene: Scene) -> EvaluationProtocol:
-    if scene.protocol not in PROTOCOLS:
-        raise UnknownName("protocol", scene.protocol, PROTOCOLS)
-    if scene.protocol != ROBUST.name or scene.base == PAPER.name:
-        return PROTOCOLS[scene.protocol]
-    if scene.base not in ROBUST_BY_BASE:
-        raise UnknownName("base", scene.base, [PAPER.name, *ROBUST_BY_BASE])
-    return ROBUST_BY_BASE[scene.base]
+    kind, name, known = "protocol", scene.protocol, PROTOCOLS
+    if name == ROBUST.name:
+        kind, name, known = "base", scene.base, {PAPER.name: ROBUST} | ROBUST_BY_BASE
+    if name not in known:
+        raise UnknownName(kind, name, known)
+    return replace(known[name], approach_distance=scene.approach_distance)

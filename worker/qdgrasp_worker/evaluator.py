@@ -202,7 +202,7 @@ class Evaluator(BatchEvaluator):
         episode = self._episode
         for place in shortlist.ranked:
             pose = grasps[place]
-            if trial and shortlist.is_choice and episode.is_blocked(self._protocol.trial(pose, 0)):
+            if trial and shortlist.poses > 1 and episode.is_blocked(self._protocol.trial(pose, 0)):
                 continue
             found = episode.place(self._protocol.trial(pose, trial))
             if trial or isinstance(found, TrialSetup) or found.outcome is not Outcome.OVERLAP:

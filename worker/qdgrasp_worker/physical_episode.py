@@ -19,7 +19,6 @@ from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from math import acos, dist, inf
-from typing import NamedTuple
 
 from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.grippers.urdf import UrdfJoint
@@ -179,6 +178,7 @@ PUSHES = (
     (0.0, 0.0, -1.0),
 )
 """Directions of the pushes, hand frame."""
+Look = tuple[list[float], Vector, Quaternion]  # Places of joints, position and quaternion of the object
 TABLE_HALF = (0.5, 0.5, 0.05)  # Half sides of a table [m]
 HULL_MARGIN = 1e-3  # Distance from a hull's surface at which both engines meet it; 0 for a box [m]
 
@@ -188,14 +188,6 @@ def table_middle(pose: RestingPose, way: float) -> Vector:
     depth = pose.height - HULL_MARGIN - TABLE_HALF[2] - way
     x, y, z = (depth * axis for axis in pose.up)
     return x, y, z
-
-
-class PosesNow(NamedTuple):
-    """Places of all that can move."""
-
-    joints: list[float]
-    position: Vector
-    quaternion: Quaternion
 
 
 class PhysicalWorld(GraspWorld):
@@ -237,20 +229,20 @@ class PhysicalWorld(GraspWorld):
     def is_on_table(self) -> bool:
         """Return whether the object touches the table."""
 
-    def look(self) -> PosesNow:
+    def look(self) -> Look:
         """The present places of all that can move."""
-        return PosesNow(self.finger_positions(), *self.object_pose())
+        return self.finger_positions(), *self.object_pose()
 
-    def rests(self, before: PosesNow, after: PosesNow) -> bool:
+    def rests(self, before: Look, after: Look) -> bool:
         """Return whether neither fingers nor object have moved from one look to the next.
 
         Places are compared, not velocities: those of bodies pressed together change sign at every step.
         """
         seconds = self.physics.look_every * self.physics.time_step
         return (
-            self._control.rests(before.joints, after.joints, seconds)
-            and dist(before.position, after.position) < REST_SPEED * seconds
-            and angle_between(before.quaternion, after.quaternion) < REST_SPIN * seconds
+            self._control.rests(before[0], after[0], seconds)
+            and dist(before[1], after[1]) < REST_SPEED * seconds
+            and angle_between(before[2], after[2]) < REST_SPIN * seconds
         )
 
     def closing_steps(self, synergy: int) -> int:

@@ -56,20 +56,10 @@ def platform(device: Device | None = None) -> dict[str, str]:
     return found | (device_platform(device) if device else {})
 
 
-class DeviceDiffers(QdgraspError):
-    """A device on which the probes have other outcomes than in MuJoCo."""
-
-    def __init__(self, device: Device, same: int) -> None:
-        super().__init__(
-            f"On the device {device.name} only {same} of {PROBES} probes of {DEVICE_ENGINE} have the outcome "
-            f"that they have in mujoco, and {LEAST_AGREEING} must; it is not used."
-        )
-
-
 def device_platform(device: Device) -> dict[str, str]:
     """Versions of warp and MuJoCo Warp, and the device's name.
 
-    An InputError if there is no such device; DeviceDiffers if it does not evaluate as MuJoCo does.
+    An InputError if there is no such device; a QdgraspError if it does not evaluate as MuJoCo does.
     """
     entries: dict[str, str] = import_module(DEVICE_MODULE).device_entries(device)
     trials, outcomes = np.zeros(PROBES, dtype=np.uint16), []
@@ -79,7 +69,10 @@ def device_platform(device: Device) -> dict[str, str]:
         evaluator = make_evaluator(build_scene(spec), device)
         outcomes.append(evaluator.evaluate("approach", probes(), trials).rows["outcome"])
     if (same := int((outcomes[0] == outcomes[1]).sum())) < LEAST_AGREEING:
-        raise DeviceDiffers(device, same)
+        raise QdgraspError(
+            f"On the device {device.name} only {same} of {PROBES} probes of {DEVICE_ENGINE} have the outcome "
+            f"that they have in mujoco, and {LEAST_AGREEING} must; it is not used."
+        )
     return entries
 
 

@@ -210,9 +210,10 @@ class AntipodalPrior(Prior):
         found &= np.isfinite(distances)
         pointing, aside = turned(*tangents(inward), genes[:, 3])
         positions = points + (distances / 2.0)[:, None] * inward - hand.reach * pointing
-        quaternions = multiply(
-            from_frame(inward, -aside, pointing), conjugate(jaw_rotation(hand, len(genes)))
-        )
+        assert hand.jaw is not None  # noqa: S101  # without one there are no genes for this prior
+        jaw, approach = np.array([hand.jaw.axis]), np.array([hand.approach_axis])
+        in_hand = np.broadcast_to(from_frame(jaw, cross(approach, jaw), approach), (len(genes), 4))
+        quaternions = multiply(from_frame(inward, -aside, pointing), conjugate(in_hand))
         return PriorPoses(
             np.where(found[:, None], positions, 0.0),
             np.where(found[:, None], quaternions, 0.0),
@@ -220,13 +221,6 @@ class AntipodalPrior(Prior):
             np.where(found, np.arctan2(hand.reach, -distances / 2.0), 0.0),
             ~found,
         )
-
-
-def jaw_rotation(hand: SceneGripper, n: int) -> Floats:
-    """The rotation (n, 4) of a frame whose x is the jaw's axis and whose z is the approach axis."""
-    assert hand.jaw is not None  # noqa: S101  # without one there are no genes for this prior
-    jaw, approach = np.array([hand.jaw.axis]), np.array([hand.approach_axis])
-    return np.broadcast_to(from_frame(jaw, cross(approach, jaw), approach), (n, 4))
 
 
 PER_METRE = 100  # Cells in a metre: cell k reaches from k - 0.5 to k + 0.5 cm

@@ -32,7 +32,7 @@ from qdgrasp_protocol.replay_messages import (
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_protocol.spec import engine_names
 from qdgrasp_worker.candidate_ranking import TableFilter
-from qdgrasp_worker.decoder import DecodedGrasps, Decoder
+from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import Shake, TrialSetup, scene_protocol
@@ -150,7 +150,8 @@ def replay_evaluation(scene: Scene, request: ReplayRequest) -> ReplayAnswer:
     with closing(make_world(scene, protocol)) as world:
         recorder = EpisodeRecorder(world, scene.gripper)
         episode = make_episode(world, protocol)
-        grasps = requested_grasp(scene, request)
+        genome = np.array([request.genome], dtype=np.float32)
+        grasps = Decoder(scene, GIVEN, ObjectSurface(scene))(genome)
         trial = protocol.trial(grasps[0], request.trial)
         if request.trial == 0 and len(TableFilter(scene)(grasps, np.arange(1))):
             episode.overlaps(trial)
@@ -173,12 +174,6 @@ def replay_evaluation(scene: Scene, request: ReplayRequest) -> ReplayAnswer:
         contact_points=tuple(points),
         snapshots=tuple(recorder.snapshots),
     )
-
-
-def requested_grasp(scene: Scene, request: ReplayRequest) -> DecodedGrasps:
-    """The requested grasp."""
-    genome = np.array([request.genome], dtype=np.float32)
-    return Decoder(scene, GIVEN, ObjectSurface(scene))(genome)
 
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)

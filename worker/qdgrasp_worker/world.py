@@ -112,7 +112,8 @@ class GraspWorld(ABC):
         self.reach = gripper.reach
         """Distance from which the hand comes along that axis [m]."""
         self._away = TrialSetup(HandPose(AWAY_POSITION, UPRIGHT, self.opened, NO_SYNERGY))
-        self._names = {label: list(joints) for label, joints in closing_joints(gripper).items()}
+        self._names = {label: list(synergy.joints) for label, synergy in enumerate(gripper.synergies)}
+        self._names[NO_SYNERGY] = [joint.name for joint in gripper.joints if joint.driven]
 
     def closing_joints(self, synergy: int) -> list[str]:
         """The names of a synergy's joints; a ValueError for one that the hand does not have."""
@@ -252,10 +253,3 @@ def indices_by_name(kind: str, names: Iterable[str], indices: Mapping[str, int])
         if name not in indices:
             raise AssetError(f"The hand has no {kind} '{name}'. It has: {', '.join(sorted(indices))}.")
     return [indices[name] for name in chosen]
-
-
-def closing_joints(gripper: SceneGripper) -> dict[int, Sequence[str]]:
-    """The names of the joints that close, by the synergy's label."""
-    everything = [joint.name for joint in gripper.joints if joint.driven]
-    synergies = {label: synergy.joints for label, synergy in enumerate(gripper.synergies)}
-    return {NO_SYNERGY: everything, **synergies}

@@ -7,12 +7,12 @@ import pytest
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import InputError
+from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import Device, RunSpec
 from qdgrasp_worker.engines.lockstep import BufferSizes, LockstepEvaluator
 from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.platform import PROBES, DeviceDiffers, platform, probes
+from qdgrasp_worker.platform import PROBES, platform, probes
 
 warp_worlds = pytest.importorskip(
     "qdgrasp_worker.engines.warp_worlds", reason="it needs qdgrasp[gpu]", exc_type=ImportError
@@ -91,7 +91,7 @@ def test_the_platform_names_the_device_and_its_code():
 def test_a_device_that_evaluates_otherwise_is_not_used(monkeypatch):
     monkeypatch.setattr(warp_worlds, "NEAR", -1.0)  # it sees no contact
     with pytest.raises(
-        DeviceDiffers, match=rf"On the device {DEVICE.name} only .* of 16 probes of mujoco-warp"
+        QdgraspError, match=rf"On the device {DEVICE.name} only .* of 16 probes of mujoco-warp"
     ):
         platform(DEVICE)
 

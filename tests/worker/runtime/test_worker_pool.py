@@ -3,24 +3,11 @@
 import signal
 
 import pytest
-import typer.main
 from typer.testing import CliRunner
 
 from qdgrasp_protocol.process import DiesAgain, ProcessExit, ProcessSupervisor, RestartPolicy, Stop
 from qdgrasp_worker import cli
-from qdgrasp_worker.cli import WorkerPool, app, worker_arguments
-
-
-def parsed(given: list[str]) -> typer.Context:
-    return typer.main.get_command(app).make_context("qdgrasp-worker", list(given))
-
-
-def test_workers_of_a_team_are_started_with_the_options_of_the_team_but_for_its_own():
-    team = parsed(["--connect", "tls/a:1,tls/b:2", "--security", "here", "--workers", "4", "--grace", "9.5"])
-    member = parsed(worker_arguments(team))
-    changed = {name for name, value in team.params.items() if member.params[name] != value}
-    assert changed == {"workers"}
-    assert member.params["workers"] == 1
+from qdgrasp_worker.cli import WorkerPool, app
 
 
 def test_worlds_without_a_device_are_refused():

@@ -23,10 +23,9 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.collision_shapes import attribute_numbers, check_convex, obj_group_corners
 from qdgrasp_assets.grippers.hand_model import followers
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, parse_robot
-from qdgrasp_assets.scene import Joint, Scene, SceneGripper, SceneObject
+from qdgrasp_assets.scene import Joint, Scene, SceneGripper
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_worker.evaluation_protocols import Physics
-from qdgrasp_worker.physical_episode import HULL_MARGIN, TABLE_HALF, FingerDrive, finger_drives
+from qdgrasp_worker.physical_episode import HULL_MARGIN, TABLE_HALF, FingerDrive
 
 DETECTION_GAP = 5e-4  # Extra distance at which contacts are found; two shapes add theirs [m]
 LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # For a link that has none in Bullet [kg, kg m2]
@@ -209,11 +208,6 @@ def reach_of(robot: Urdf, links: dict[str, HandLink], opened: dict[str, float], 
     return max((math.hypot(*corner) for corner in farthest), default=0.0)
 
 
-def object_shape(target: SceneObject) -> LinkShape:
-    """The shape of an object, CoM frame."""
-    return mesh_shape(".obj", np.eye(4), list(obj_group_corners(target.collision.decode())))
-
-
 class SceneModel:
     """MJCF of a scene, with the object free or fixed where it is put.
 
@@ -230,7 +224,8 @@ class SceneModel:
         self.joints = [self._joint(joint) for joint in gripper.joints]
         """The joints of the hand that are commanded, in the gripper's order."""
         self.couplings = list(couplings(self.robot, gripper))
-        target, shape = scene.object, object_shape(scene.object)
+        target = scene.object
+        shape = mesh_shape(".obj", np.eye(4), list(obj_group_corners(target.collision.decode())))
         sides = shape.high - shape.low + 2 * (sum(INFLATIONS[".obj"]) + 1) * HULL_MARGIN
         self.moments = box_moments(target.mass, sides)
         """The object's principal moments of inertia (3,) [kg m2]."""
@@ -327,13 +322,6 @@ class SceneModel:
             ET.SubElement(body, "freejoint")
         group = {"contype": OBJECT_GROUP, "conaffinity": HAND_GROUP, "condim": "6", "priority": "1"}
         add_shape(body, meshes, self._shape, group)
-
-
-def hand_drives(gripper: SceneGripper, model: SceneModel, physics: Physics) -> list[FingerDrive]:
-    """The drives of the finger joints, in the gripper's order."""
-    opened = {joint.name: joint.opened for joint in gripper.joints}
-    reaches = [reach_of(model.robot, model.links, opened, found) for found in model.joints]
-    return finger_drives(gripper, model.joints, reaches, physics.haste)
 
 
 def couplings(robot: Urdf, gripper: SceneGripper) -> Iterator[Coupling]:

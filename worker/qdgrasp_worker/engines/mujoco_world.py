@@ -21,7 +21,7 @@ from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate
 from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, SceneModel, hand_drives
+from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, SceneModel, reach_of
 from qdgrasp_worker.engines.mujoco_simulation import Simulation
 from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
 from qdgrasp_worker.physical_episode import (
@@ -29,6 +29,7 @@ from qdgrasp_worker.physical_episode import (
     FingerControl,
     FingerDrive,
     PhysicalWorld,
+    finger_drives,
     table_middle,
 )
 from qdgrasp_worker.world import (
@@ -148,19 +149,13 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         self._scene = SceneModel(scene, self._time_step)
         self._prepare(scene, Simulation(self._scene, self._scene.shaken()))
         joints = [joint.name for joint in self._scene.robot.joints if joint.moves]
-        rows = indices_by_name("joint", joints, {self._joint_at(row): row for row in range(len(joints))})
-        self._row = dict(zip(joints, rows, strict=True))
+        self._row = {name: int(self.free.model.joint(name).dofadr[0]) for name in joints}
         """Row of each joint among the motors, which is its place among the hand's degrees of freedom."""
         n, data = len(joints), self.free.data
         self._motors = n
         self._at, self._velocity = data.qpos[:n], data.qvel[:n]
         self._goals, self._gains, self._damping, self._least, self._most = (np.zeros(n) for _ in range(5))
         self._wanted, self._slowed = np.zeros(n), np.zeros(n)
-
-    def _joint_at(self, row: int) -> str:
-        model = self.free.model
-        name: str = model.joint(int(model.dof_jntid[row])).name
-        return name
 
     def friction(self, trial: TrialSetup) -> tuple[float, float, float]:
         """Friction of hand and object, combined from both as in Bullet."""
@@ -233,7 +228,10 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         super().__init__(gripper)
         self.physics, self.table, self.steps_at_once = physics, table, physics.look_every
         model = SceneModel(scene, physics.time_step, has_table=table is not None)
-        self.drives, self.is_coupled = hand_drives(gripper, model, physics), gripper.jaw is not None
+        opened = {joint.name: joint.opened for joint in gripper.joints}
+        reaches = [reach_of(model.robot, model.links, opened, joint) for joint in model.joints]
+        self.drives = finger_drives(gripper, model.joints, reaches, physics.haste)
+        self.is_coupled = gripper.jaw is not None
         self._control = FingerControl(self.drives, is_coupled=self.is_coupled)
         passing = passing_links(gripper, model, self.drives)
         self.fixed = Simulation(model, model.driven(self.drives, passing, is_free=False), is_free=False)

@@ -76,40 +76,6 @@ Event = (
 Inbox: TypeAlias = "SimpleQueue[Event]"
 
 
-class GracefulShutdown:
-    """Decides when a worker that is asked to stop ends. Pure: time is passed in.
-
-    It ends when the batch in work is done and the jobs know which batches are handed back, after `grace`
-    seconds at most: its coordinators then have its leases from the end of its tokens.
-    """
-
-    def __init__(self, grace: float) -> None:
-        self._grace = grace
-        self.deadline = inf
-        """Time at which it ends at the latest; infinite: no stop was asked for."""
-        self.last_batch: BatchProgress | None = None
-        """The batch that is to be finished before."""
-        self.uninformed: set[str] = set()
-        """The jobs that do not know yet which batches are handed back."""
-
-    @property
-    def has_begun(self) -> bool:
-        """True if no new batch is begun any more."""
-        return self.deadline < inf
-
-    def stop_now(self) -> None:
-        """End at once, with or without a batch in work."""
-        self.deadline = -inf
-
-    def start(self, head: BatchProgress | None, now: float) -> None:
-        """End soon, after `head`, the batch in work."""
-        self.deadline, self.last_batch = now + self._grace, head
-
-    def is_over(self, now: float) -> bool:
-        """Return whether it is time to end."""
-        return now >= self.deadline or (self.has_begun and self.last_batch is None and not self.uninformed)
-
-
 class WorkerService:
     """Serves the jobs on a bus until it is asked to stop.
 
@@ -157,7 +123,13 @@ class WorkerService:
         self._requested: set[str] = set()  # Digests of scenes that are fetched now
         self._builder = BuilderClient(bus, inbox.put, nice)
         self._keys = Keys(job) if job else AnyJob()
-        self._shutdown = GracefulShutdown(grace)
+        self._grace = grace
+        self._deadline = inf
+        """Time at which it ends at the latest; infinite: no stop was asked for."""
+        self._last_batch: BatchProgress | None = None
+        """The batch that is to be finished before."""
+        self._uninformed: set[str] = set()
+        """The jobs that do not know yet which batches are handed back."""
         self._drops = DropCounter()
         self._heartbeat_at = 0.0
 
@@ -179,9 +151,18 @@ class WorkerService:
             stack.enter_context(self._bus.on_link(lambda up: put(LinkChange(up))))
             token = self._keys.coordinator_token()
             stack.enter_context(self._bus.watch(token, lambda key, alive: put(TokenChange(key, alive))))
-            while not self._shutdown.is_over(time.monotonic()):
+            while not self._is_over(time.monotonic()):
                 self._receive(self._wait_seconds(time.monotonic()))
                 self._step(time.monotonic())
+
+    @property
+    def _is_ending(self) -> bool:
+        """True if no new batch is begun any more."""
+        return self._deadline < inf
+
+    def _is_over(self, now: float) -> bool:
+        """Return whether all is finished and told that is to be, or time is up."""
+        return now >= self._deadline or (self._is_ending and not (self._last_batch or self._uninformed))
 
     def _step(self, now: float) -> None:
         if now >= self._heartbeat_at:
@@ -191,16 +172,16 @@ class WorkerService:
         self._submit_batches()
         self._begin_build()
         if self._simulator.platform is not None:
-            is_open = self._simulator.is_ready and not self._shutdown.has_begun
+            is_open = self._simulator.is_ready and not self._is_ending
             self._jobs.join_due(now, self._simulator.platform, is_open=is_open)
         self._jobs.end_abandoned(now)
         if self._jobs.leave_drained():
-            self._shutdown.stop_now()
+            self._deadline = -inf
 
     def _wait_seconds(self, now: float) -> float:
         """Seconds to wait for the inbox."""
         join_at = inf if self._simulator.platform is None else self._jobs.next_join
-        others = self._jobs.next_end, self._shutdown.deadline, self._simulator.restart_at
+        others = self._jobs.next_end, self._deadline, self._simulator.restart_at
         return max(0.0, min(self._heartbeat_at, join_at, *others) - now)
 
     def _receive(self, seconds: float) -> None:
@@ -253,7 +234,7 @@ class WorkerService:
             self._read(sample)
         session = self._jobs.get(answered.job)
         if session is None or not session.credit:
-            self._shutdown.uninformed.discard(answered.job)
+            self._uninformed.discard(answered.job)
 
     def _take_scene(self, answered: SceneAnswered, now: float) -> None:
         """Take a scene; without one, its batches are handed back, or fail if no one can have it."""
@@ -281,11 +262,12 @@ class WorkerService:
     def _begin_shutdown(self, now: float) -> None:
         """Leave: after SIGTERM with the batch in work, after SIGINT at once."""
         if self._stop.latest != signal.SIGTERM:
-            self._shutdown.stop_now()
-        elif not self._shutdown.has_begun:
+            self._deadline = -inf
+        elif not self._is_ending:
             head = self._simulator.head
             session = self._jobs.get(head.job) if head else None
-            self._shutdown.start(head if session is not None and session.has_coordinator else None, now)
+            self._deadline = now + self._grace
+            self._last_batch = head if session is not None and session.has_coordinator else None
             self._hand_back_all(now)
 
     def _submit_batches(self) -> None:
@@ -308,7 +290,7 @@ class WorkerService:
             self._builder.stop()
             for session in self._jobs:
                 session.release(under_way.batch)
-        if self._builder.build is not None or self._shutdown.has_begun:
+        if self._builder.build is not None or self._is_ending:
             return
         for session in self._jobs:
             if session.waiting(Build):
@@ -332,7 +314,7 @@ class WorkerService:
                 return task if self._has_scene(task.job, task.work.scene) else None
             self._simulator.drop(task)
             self._release(task)
-        session = None if self._shutdown.has_begun else self._jobs.next_session(self._is_servable)
+        session = None if self._is_ending else self._jobs.next_session(self._is_servable)
         return None if session is None else BatchProgress(session.job, session.begin(Work))
 
     def _is_servable(self, session: JobSession) -> bool:
@@ -366,16 +348,16 @@ class WorkerService:
             session.join_later(now, jitter())
 
     def _hand_back_all(self, now: float) -> None:
-        last = self._shutdown.last_batch
+        last = self._last_batch
         for session in self._jobs:
             if session.has_coordinator and session.held:
                 session.hand_back(keep=last.work.batch if last else None)
                 session.join_soon(now)
-                self._shutdown.uninformed.add(session.job)
+                self._uninformed.add(session.job)
 
     def _release(self, task: BatchProgress) -> None:
-        if task is self._shutdown.last_batch:
-            self._shutdown.last_batch = None
+        if task is self._last_batch:
+            self._last_batch = None
         if (session := self._jobs.get(task.job)) is not None:
             session.release(task.work.batch)
 
