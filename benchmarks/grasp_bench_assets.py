@@ -18,9 +18,10 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
 from qdgrasp_assets.asset_paths import write_whole
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, cup, join, revolve, strip
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, join
 from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.urdf import read_urdf
@@ -35,10 +36,48 @@ SIDES = 24  # Corners of a turned solid
 MILLIMETRE = 1e-3
 DIGEST_DIGITS = 16
 
+Faces = NDArray[np.int64]
+"""(f, 3)."""
 Profile = Iterable[tuple[float, float]]
 """Radius and height [mm]."""
 Point = tuple[float, float, float]
 """[mm]."""
+
+
+def revolve(profile: Floats, sides: int) -> Floats:
+    """Return the profile at each corner (p, sides, 3) [m]; facet k is from corner k to k + 1.
+
+    `profile` is (p, 2) [m]: radius and height. Facet 0 faces x.
+    """
+    angles = (np.arange(sides) - 0.5) * 2 * np.pi / sides
+    radius, height = profile.T[:, :, None]
+    return np.stack(
+        [radius * np.cos(angles), radius * np.sin(angles), np.broadcast_to(height, (len(profile), sides))],
+        axis=-1,
+    )
+
+
+def cup(profile: Floats, sides: int) -> Mesh:
+    """Return the closed surface of a profile from the outer bottom to the inner floor."""
+    corners = revolve(profile, sides).reshape(-1, 3)
+    centres = np.array([(0.0, 0.0, profile[0, 1]), (0.0, 0.0, profile[-1, 1])])
+    rings = np.arange(len(corners)).reshape(-1, sides)
+    below, above = len(corners), len(corners) + 1
+    faces = [fan(below, rings[0][::-1]), strip(rings), fan(above, rings[-1])]
+    return Mesh(np.concatenate([corners, centres]), np.concatenate(faces))
+
+
+def fan(centre: int, ring: Faces) -> Faces:
+    """Return triangles from a centre to neighbours of a vertex ring (s,), counter-clockwise."""
+    return np.stack([np.full(len(ring), centre), ring, np.roll(ring, -1)], axis=1)
+
+
+def strip(rings: Faces) -> Faces:
+    """Return two triangles for each quadrilateral between rings (r, s) of vertices."""
+    here, there = rings[:-1], rings[1:]
+    right, far = np.roll(here, -1, axis=1), np.roll(there, -1, axis=1)
+    quads = np.stack([here, right, far, here, far, there], axis=-1)
+    return quads.reshape(-1, 3)
 
 
 def turned(*profile: tuple[float, float], sides: int = SIDES) -> Mesh:

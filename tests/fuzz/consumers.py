@@ -123,7 +123,7 @@ def seeds() -> dict[str, bytes]:
         messages.Work: {"n": ROWS, "columns": pack(rows, LEASED)} | genes,
         messages.Result: {"columns": deflated(pack(rows, RESULT))} | sizes | failed,
         messages.Recordable: {"columns": deflated(pack(rows, COLUMNS))} | sizes | genes | failed,
-        messages.SuccessPage: {"n": ROWS, "columns": found.success_columns(drawn)} | widths,
+        messages.SuccessPage: {"n": ROWS, "columns": deflated(pack(drawn, found.SUCCESS_COLUMNS))} | widths,
         messages.Open: {"runs": [open_run(spec=SPEC)]},
         Build: {"task": SHAPE_TASK},
     }
