@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_protocol.errors import MessageError
 
@@ -153,8 +154,14 @@ class SceneObject(Struct, frozen=True, kw_only=True):
     @property
     def triangles(self) -> NDArray[np.float32]:
         """(f, 3, 3) [m]: the corners of the surface mesh's triangles, CoM frame."""
-        corners: NDArray[np.float32] = self.vertices[np.frombuffer(self.mesh_faces, "<u4").reshape(-1, 3)]
+        corners: NDArray[np.float32] = self.vertices[self.mesh.faces]
         return corners
+
+    @property
+    def mesh(self) -> Mesh:
+        """The surface mesh, CoM frame."""
+        faces = np.frombuffer(self.mesh_faces, "<u4").reshape(-1, 3)
+        return Mesh(self.vertices.astype(np.float64), faces.astype(np.int64))
 
     @property
     def radius(self) -> float:

@@ -5,7 +5,8 @@ a hull of each; a material begins none.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
@@ -154,6 +155,17 @@ class Mesh:
     def flipped(self) -> "Mesh":
         """Return the mesh with every triangle wound the other way."""
         return Mesh(self.vertices, self.faces[:, ::-1])
+
+
+@contextmanager
+def unreadable_as(sentence: str, name: object) -> Iterator[None]:
+    """Raise an AssetError of a name and an error for any error of a reader of meshes."""
+    try:
+        yield
+    except AssetError:
+        raise
+    except Exception as error:  # noqa: BLE001  # readers of meshes raise errors of any kind
+        raise AssetError(sentence.format(name, f"{type(error).__name__}: {error}")) from None
 
 
 def join(meshes: Iterable[Mesh]) -> Mesh:

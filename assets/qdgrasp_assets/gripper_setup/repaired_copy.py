@@ -21,7 +21,7 @@ from qdgrasp_assets.geometry.collision_parts import (
     decompose,
     simplify_part,
 )
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, hull, parts_to_obj, stl_triangles
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, hull, parts_to_obj, stl_triangles, unreadable_as
 from qdgrasp_assets.geometry.mesh_repair import simplify_mesh
 from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.draft import CENTRE, DraftOverrides, draft_axis, draft_closing
@@ -62,13 +62,8 @@ def read_mesh_of(robot: Urdf, element: ET.Element) -> Mesh:
     """Read a robot's `<mesh>`, scaled, equal vertices merged; `AssetError` if it cannot be read."""
     name = element.get("filename", "")
     content = robot.mesh(name)
-    try:
+    with unreadable_as("The mesh '{}' cannot be read ({}); save it as an STL or OBJ file.", name):
         mesh = triangles(element, {name: content})
-    except Exception as error:  # noqa: BLE001  # readers of meshes raise errors of any kind
-        raise AssetError(
-            f"The mesh '{name}' cannot be read ({type(error).__name__}: {error}); save it as an STL or "
-            "OBJ file."
-        ) from None
     return mesh.flipped() if np.prod(attribute_numbers(element, "scale", "1 1 1")) < 0 else mesh
 
 

@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, geodesic, read_obj, stl_triangles
-from qdgrasp_assets.grippers.urdf import Urdf, parse_origin
+from qdgrasp_assets.grippers.urdf import Urdf, parse_origin, scene_robot
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import AssetError
 
@@ -127,7 +127,7 @@ CONVEX_KINDS = ("box", "sphere", "cylinder", ".stl", ".obj")
 
 def check_convex(gripper: SceneGripper) -> None:
     """Raise an AssetError for a shape that another engine than Bullet does not take."""
-    for link in ET.fromstring(gripper.urdf).iterfind("link"):  # noqa: S314  # the scene's own
+    for link in scene_robot(gripper).element.iterfind("link"):
         for collision in link.iterfind("collision"):
             for shape in collision.iterfind("geometry/*"):
                 kind = PurePosixPath(shape.get("filename", "")).suffix.lower() or shape.tag

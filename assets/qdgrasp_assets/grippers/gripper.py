@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from qdgrasp_assets.geometry.mesh import unreadable_as
 from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.grippers.collision_shapes import largest_side
 from qdgrasp_assets.grippers.gripper_file import (
@@ -205,15 +206,8 @@ class Gripper:
     def _extent(self, element: ET.Element, meshes: dict[str, bytes]) -> float:
         """Return the largest side of the hand [m], to the micrometre."""
         hand = parse_robot(self.robot.path, element).subtree(self.file.base_link)
-        try:
+        with unreadable_as("The URDF '{}' has a collision shape that cannot be read: {}.", self.robot.path):
             return round(largest_side(hand, meshes), 6)
-        except AssetError:
-            raise
-        except Exception as error:  # noqa: BLE001  # readers of meshes raise errors of any kind
-            raise AssetError(
-                f"The URDF '{self.robot.path}' has a collision shape that cannot be read: "
-                f"{type(error).__name__}: {error}."
-            ) from None
 
     def _joint(self, name: str, table: JointTable, is_rated: bool) -> Joint:
         joint = self.robot.joint(name)

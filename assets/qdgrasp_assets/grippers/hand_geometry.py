@@ -5,10 +5,8 @@ from it: convex parts are what the simulator makes of collision shapes, shapes a
 """
 
 import hashlib
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cached_property
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -23,7 +21,7 @@ from qdgrasp_assets.grippers.collision_shapes import (
     link_convex_parts,
     shapes,
 )
-from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_robot
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, scene_robot
 from qdgrasp_assets.scene import SceneGripper
 
 Closing = Callable[[Sequence[float], int], list[list[float]]]
@@ -51,7 +49,7 @@ class HandGeometry:
 
     def __init__(self, gripper: SceneGripper) -> None:
         self.gripper = gripper
-        self.whole = parse_robot(Path(gripper.name), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
+        self.whole = scene_robot(gripper)
         self.robot = self.whole.subtree(gripper.base_link)
         self._joints = [joint.name for joint in gripper.joints]
 

@@ -16,12 +16,11 @@ from itertools import combinations, takewhile
 
 import numpy as np
 
-from qdgrasp_assets.geometry.mesh import Floats
+from qdgrasp_assets.geometry.mesh import Floats, unreadable_as
 from qdgrasp_assets.geometry.voxels import Hull, convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import collision_shape, part_corners
 from qdgrasp_assets.grippers.hand_geometry import neighbours, rigid_pieces
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
-from qdgrasp_protocol.errors import AssetError
 
 
 @dataclass(frozen=True)
@@ -243,16 +242,10 @@ def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Fl
     """
     names = [mesh.get("filename", "") for mesh in collision.iter("mesh")]
     files = {name: robot.mesh(name) for name in names}
-    try:
+    advice = "save its mesh as a binary STL or an OBJ file"
+    with unreadable_as("a collision shape of the link '{}' cannot be read ({}); " + advice, link):
         found = tuple(part_corners(robot, collision, files))
         return found or tuple(each.vertices for each in collision_shape(robot, link, collision, files))
-    except AssetError:
-        raise
-    except Exception as error:  # noqa: BLE001  # readers of meshes raise errors of any kind
-        raise AssetError(
-            f"a collision shape of the link '{link}' cannot be read ({type(error).__name__}: {error}); "
-            "save its mesh as a binary STL or an OBJ file"
-        ) from None
 
 
 LARGEST_HAND = 0.5  # A hand's joints are not farther apart than this [m]

@@ -16,6 +16,7 @@ import numpy as np
 from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.geometry.rotation import running_sum
+from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import AssetError
 
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
@@ -201,6 +202,11 @@ def parse_robot(path: Path, element: ET.Element, meshes: Mapping[str, bytes] | N
             f"{len(roots)} roots."
         )
     return Urdf(path, element, links, joints, meshes or {})
+
+
+def scene_robot(gripper: SceneGripper) -> Urdf:
+    """Return the robot of a scene's hand, without its meshes."""
+    return parse_robot(Path(gripper.name), ET.fromstring(gripper.urdf))  # noqa: S314  # checked with the scene
 
 
 def _joint(path: Path, element: ET.Element) -> UrdfJoint:

@@ -1,7 +1,6 @@
 """Reads, chooses and describes grasps of a run, some thousands at a time."""
 
 import hashlib
-import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.rotation import Floats, multiply, running_sum
 from qdgrasp_assets.gripper_setup.draft import original_base
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
-from qdgrasp_assets.grippers.urdf import parse_robot
+from qdgrasp_assets.grippers.urdf import scene_robot
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject, Vector, vector
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, taken_mask, takes_held
 from qdgrasp_coordinator.metrics.successes import (
@@ -296,8 +295,7 @@ def grasp_metadata(chosen: ChosenGrasps, frame: Frame, journal: Journal) -> Gras
 
 def scene_original_base(gripper: SceneGripper) -> OriginalBase | None:
     """Return the base link of a hand's own URDF, where `--repair` added another; else None."""
-    element = ET.fromstring(gripper.urdf)  # noqa: S314  # a scene that was read and checked
-    return original_base(gripper.base_link, parse_robot(Path(gripper.name), element))
+    return original_base(gripper.base_link, scene_robot(gripper))
 
 
 def _resting_poses(check: "ReachabilityCheck", origin: Vector) -> tuple[RestingPoseRecord, ...]:

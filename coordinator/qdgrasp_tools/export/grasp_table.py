@@ -75,9 +75,7 @@ def jaw_turn(gripper: SceneGripper) -> Floats:
 
 def object_mesh(body: SceneObject, frame: Frame) -> Mesh:
     """Return the surface of a scene's object in one of its frames [m]."""
-    vertices = body.vertices.astype(np.float64) + (0.0 if frame == COM else np.array(body.com_in_mesh))
-    faces = np.frombuffer(body.mesh_faces, dtype="<u4").reshape(-1, 3).astype(np.int64)
-    return Mesh(vertices, faces)
+    return body.mesh if frame == COM else body.mesh.moved(body.com_in_mesh)
 
 
 POSE_WORDS = (

@@ -51,7 +51,7 @@ def best_azimuth(scene: Scene, successes: Rows) -> float:
     Among sides that show about as much of the object, it is the one that spreads the grasps that
     `spread_grasps` chooses.
     """
-    vertices, hand = object_mesh(scene).vertices, scene.gripper
+    vertices, hand = scene.object.mesh.vertices, scene.gripper
     views = [fit_camera(vertices, azimuth, ELEVATION, 100, 100) for azimuth in AZIMUTHS]
     outlines = np.array([ConvexHull(view.project(vertices)[:, :2]).volume for view in views])
     broad = np.flatnonzero(outlines > BROAD_SHARE * outlines.max())
@@ -149,7 +149,7 @@ def object_picture(scene: Scene, pixels: int) -> bytes:
 
     Returns a PNG, `pixels` wide and high.
     """
-    body = object_mesh(scene)
+    body = scene.object.mesh
     side = RAYS_PER_PIXEL * pixels
     image = LayeredImage(fit_camera(body.vertices, OBJECT_AZIMUTH, ELEVATION, side, side, field=0.0))
     paint_solid(image, RayMesh(body), rgb(CLAY))
@@ -177,7 +177,7 @@ def clear_png(image: LayeredImage) -> bytes:
 
 def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) -> RenderedView:
     """Render the object with a few well-spread grasps on it, as they settled."""
-    camera = _camera([object_mesh(scene)], azimuth, ELEVATION, (pixels, pixels))
+    camera = _camera([scene.object.mesh], azimuth, ELEVATION, (pixels, pixels))
     chosen = spread_grasps(successes, scene.gripper, camera)
     image = _image_of_hands(scene, chosen, azimuth, ELEVATION, (pixels, pixels))
     return RenderedView(image.composed(), image.camera, chosen)
@@ -186,7 +186,7 @@ def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) ->
 def _image_of_hands(
     scene: Scene, rows: Rows, azimuth: float, elevation: float, size: tuple[int, int]
 ) -> LayeredImage:
-    body, links = object_mesh(scene), list(_links(scene, settled_poses(rows), rows["joints"]))
+    body, links = scene.object.mesh, list(_links(scene, settled_poses(rows), rows["joints"]))
     image = LayeredImage(_camera([body, *(link.mesh for link in links)], azimuth, elevation, size))
     paint_solid(image, RayMesh(body), rgb(CLAY))
     for link in links:
@@ -209,7 +209,7 @@ def view_of_cells(
     of these views is.
     """
     places = cells(best["descriptor"][:, :3])
-    body, views = object_mesh(scene), [places, *beside]
+    body, views = scene.object.mesh, [places, *beside]
     image = LayeredImage(_camera([body, *map(_cubes, views)], azimuth, ELEVATION, (pixels, pixels)))
     block = int(np.ceil(LEAST_CUBE * RAYS_PER_PIXEL * image.camera.step / CUBE_EDGE))
     blocks, kinds = _in_blocks(places, survival(best), block)
@@ -242,13 +242,6 @@ def best_in_cells(successes: Rows) -> Rows:
     ordered = successes[np.argsort(-successes["fitness"], kind="stable")]
     _, first = np.unique(cell_keys(cells(ordered["descriptor"][:, :3])), return_index=True)
     return ordered[first]
-
-
-def object_mesh(scene: Scene) -> Mesh:
-    """Return the object's surface, CoM frame."""
-    vertices = scene.object.vertices
-    faces = np.frombuffer(scene.object.mesh_faces, "<u4").reshape(-1, 3)
-    return Mesh(vertices.astype(np.float64), faces.astype(np.int64))
 
 
 def _links(scene: Scene, poses: NDArray[np.floating], joints: NDArray[np.floating]) -> Iterator[DrawnLink]:
@@ -340,7 +333,7 @@ def grasp_scene(scene: Scene, pose: Poses, joints: Poses, com: ArrayLike) -> tri
     made = hand_scene(scene.gripper, pose, joints)
     middle = np.eye(4)
     middle[:3, 3] = com
-    body = _coloured(object_mesh(scene), CLAY)
+    body = _coloured(scene.object.mesh, CLAY)
     made.add_geometry(body, node_name="object", geom_name="object", transform=middle)
     return made
 

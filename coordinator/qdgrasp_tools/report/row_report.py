@@ -3,7 +3,6 @@
 The context says which synergy a genome chose and how many trials a success has.
 """
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.grippers.urdf import parse_robot
+from qdgrasp_assets.grippers.urdf import scene_robot
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics.cells import UNKNOWN_GENOMES, GenomeReader, cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, recorded_margins
@@ -214,7 +213,7 @@ def _pose(values: NDArray[np.float32], gripper: SceneGripper) -> dict[str, Any] 
 
 
 def _joints(row: np.void, gripper: SceneGripper) -> Iterator[dict[str, Any]]:
-    robot = parse_robot(Path(gripper.name), ET.fromstring(gripper.urdf))  # noqa: S314  # a scene that was checked
+    robot = scene_robot(gripper)
     for joint, position in zip(gripper.joints, row["joints"].tolist(), strict=False):
         found = robot.joint(joint.name)
         slides = found is not None and found.kind == "prismatic"

@@ -50,7 +50,7 @@ from qdgrasp_tools.rendering.ray_renderer import (
     RayMesh,
     fit_camera,
 )
-from qdgrasp_tools.rendering.views import CLAY, FINGER_HUES, STEEL, object_mesh, paint_body, rgb
+from qdgrasp_tools.rendering.views import CLAY, FINGER_HUES, STEEL, paint_body, rgb
 from qdgrasp_tools.report.row_report import row_at
 from qdgrasp_tools.verification import comparison
 
@@ -219,7 +219,7 @@ class SnapshotRenderer:
             name: DrawnBody.of(mesh, FINGER_HUE if name in fingers else PALM_HUE)
             for name, mesh in hand.link_meshes.items()
         }
-        self._object = DrawnBody.of(object_mesh(scene), OBJECT_HUE)
+        self._object = DrawnBody.of(scene.object.mesh, OBJECT_HUE)
 
     def fit(
         self, snapshots: Sequence[Snapshot], view: tuple[float, float], size: tuple[int, int]

@@ -3,18 +3,16 @@
 Contacts are those of the last collision detection.
 """
 
-import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from contextlib import ExitStack
 from itertools import product
 from math import dist
-from pathlib import Path
 
 import numpy as np
 
 from qdgrasp_assets.geometry.rotation import facing
 from qdgrasp_assets.grippers.hand_geometry import neighbours
-from qdgrasp_assets.grippers.urdf import Urdf, parse_robot
+from qdgrasp_assets.grippers.urdf import Urdf, scene_robot
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.bullet import (
@@ -206,7 +204,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         for number in range(BASE, len(hand.links)):
             hand.set_friction(HAND_FRICTION, 0.0, 0.0, number)
         self._mass, self._moments = target.inertia()
-        robot = parse_robot(Path(), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
+        robot = scene_robot(gripper)
         self._let_pass(gripper, robot)
         self._place_away(self.opened)
         by_name = {joint.name: joint for joint in robot.joints}

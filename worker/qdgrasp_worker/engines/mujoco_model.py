@@ -12,7 +12,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +22,7 @@ from qdgrasp_assets.geometry.mesh import stl_triangles
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.collision_shapes import attribute_numbers, check_convex, obj_group_corners
 from qdgrasp_assets.grippers.hand_model import followers
-from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, parse_robot
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, scene_robot
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.physical_episode import HULL_MARGIN, TABLE_HALF, FingerDrive
@@ -219,7 +219,7 @@ class SceneModel:
         check_convex(gripper)
         self._has_table = has_table
         self._time_step = time_step
-        self.robot = parse_robot(Path(), ET.fromstring(gripper.urdf))  # noqa: S314  # the scene's own
+        self.robot = scene_robot(gripper)
         self.links = hand_links(self.robot, gripper)
         self.joints = [self._joint(joint) for joint in gripper.joints]
         """The joints of the hand that are commanded, in the gripper's order."""
