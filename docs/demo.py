@@ -20,12 +20,14 @@ from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec, has_bullet
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.run_commands import start_run
+from qdgrasp_tools.export.grasp_reader import spread_places
+from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.local.supervisor import LocalJobConfig
 from qdgrasp_tools.rendering.drawings import FAINT, INK, axes_triad, figure_text, show_view
 from qdgrasp_tools.rendering.views import (
     RenderedView,
-    best_azimuth,
     best_in_cells,
+    broad_azimuth,
     view_of_cells,
     view_of_hands,
 )
@@ -53,6 +55,7 @@ def demo(out: Path = Path("runs/demo"), engine: str | None = None) -> None:
 GRASPS_SIZE = (16.0, 9.2)  # inches
 HANDS_BOX, CELLS_BOX = (0.01, 0.02, 0.545, 0.87), (0.58, 0.24, 0.4, 0.6)
 """Left, bottom, width and height of the two panels, as shares of the figure."""
+HANDS = 7  # Grasps in the picture
 OUTCOME_NOUNS = {Outcome.DROPPED: "successes", Outcome.SHAKEN: "grasps", Outcome.HELD: "robust"}
 
 
@@ -63,7 +66,7 @@ def draw_grasps(scene: Scene, rows: Rows, path: Path, spec: RunSpec, pixels: int
     wide.
     """
     found = rows[(rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)]
-    best, side = best_in_cells(found), best_azimuth(scene, found)
+    best, side = best_in_cells(found), broad_azimuth(scene)
     figure = Figure(figsize=GRASPS_SIZE, dpi=pixels / (GRASPS_SIZE[1] * HANDS_BOX[3]), facecolor="white")
     title = f"{scene.gripper.name}  on  {scene.object.name}"
     figure.text(0.022, 0.951, figure_text(title), size=26, weight="bold", color=INK, va="center")
@@ -73,12 +76,20 @@ def draw_grasps(scene: Scene, rows: Rows, path: Path, spec: RunSpec, pixels: int
     words = f"{spec.method}, seed {spec.seed}, protocol {scene.protocol}:   {counts}"
     figure.text(0.022, 0.911, words, size=13.5, color=FAINT, va="center")
     hands = figure.add_axes(HANDS_BOX)
-    view = view_of_hands(scene, found, side, pixels)
+    view = view_of_hands(scene, _spread(scene, spec, found), side, pixels)
     show_view(hands, view)
     axes_triad(hands, view)
     cells = view_of_cells(scene, best, side, round(pixels * CELLS_BOX[3] / HANDS_BOX[3]))
     _draw_cells(figure.add_axes(CELLS_BOX), cells)
     figure.savefig(path, format="png")
+
+
+def _spread(scene: Scene, spec: RunSpec, found: Rows) -> Rows:
+    """Choose a few well-spread rows of the best outcome."""
+    best = found[found["outcome"] == found["outcome"].max(initial=Outcome.DROPPED)]
+    unknown, none = np.full(len(best), np.nan), np.zeros(len(best), np.int64)
+    grasps = Grasps(scene, spec, "demo", np.arange(len(best)), best, unknown, none)
+    return grasps[spread_places(grasps, HANDS)].rows
 
 
 def _draw_cells(axes: Axes, view: RenderedView) -> None:

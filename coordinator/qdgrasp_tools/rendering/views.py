@@ -1,4 +1,4 @@
-"""Renders hands on an object, or the cells around it; chooses side and grasps to show."""
+"""Renders hands on an object, or the cells around it; chooses the side to show."""
 
 import io
 from base64 import b64encode
@@ -13,7 +13,6 @@ from matplotlib.colors import to_rgb
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.grippers.hand_geometry import hand_geometry
@@ -22,7 +21,7 @@ from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cell_keys, cells
 from qdgrasp_coordinator.metrics.grasp_quality import settled_poses
 from qdgrasp_coordinator.metrics.successes import survival
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.rows import Rows
 from qdgrasp_tools.rendering.ray_renderer import (
     RAYS_PER_PIXEL,
     Floats,
@@ -34,75 +33,15 @@ from qdgrasp_tools.rendering.ray_renderer import (
     soft_light,
 )
 
-MOST_HANDS, LEAST_HANDS = 8, 3  # Grasps in one picture: many of a jaw, few of a hand
-MOST_LINKS = 24  # Finger links in one picture, at which it is still clear
-CANDIDATES = 4000  # Grasps looked at; of more, evenly many are left out
-LEAST_DISTANCE = 0.035
-"""Hands are drawn at least this far apart on the image [m], so that each can be told apart."""
-LEAST_FACING = 0.3
-"""Hands whose approach is nearer to the line of sight than arccos of this hide the object."""
 AZIMUTHS = np.radians(np.arange(-165, 180, 30))  # Azimuths that are tried
-BROAD_SHARE = 0.97  # A side counts as broad when the object's outline fills this share of its largest one
 
 
-def best_azimuth(scene: Scene, successes: Rows) -> float:
-    """Return the azimuth [rad] that shows most of the object, and grasps farthest apart.
-
-    Among sides that show about as much of the object, it is the one that spreads the grasps that
-    `spread_grasps` chooses.
-    """
-    vertices, hand = scene.object.mesh.vertices, scene.gripper
+def broad_azimuth(scene: Scene) -> float:
+    """Return the azimuth [rad] that shows most of the object: the one with the largest outline."""
+    vertices = scene.object.mesh.vertices
     views = [fit_camera(vertices, azimuth, ELEVATION, 100, 100) for azimuth in AZIMUTHS]
-    outlines = np.array([ConvexHull(view.project(vertices)[:, :2]).volume for view in views])
-    broad = np.flatnonzero(outlines > BROAD_SHARE * outlines.max())
-    seen = [_spread(spread_grasps(successes, hand, views[side]), hand, views[side]) for side in broad]
-    return float(AZIMUTHS[broad[int(np.argmax(seen))]])
-
-
-def _spread(chosen: Rows, gripper: SceneGripper, view: ParallelCamera) -> float:
-    """Sum the distances of hands to their nearest ones [m]; those seen from aside count most."""
-    if len(chosen) < 2:
-        return 0.0
-    positions, approaches = (view.project(vectors) for vectors in _placed(chosen, gripper))
-    gaps = np.linalg.norm(positions[:, None, :2] - positions[None, :, :2], axis=2)
-    return float(np.sort(gaps, axis=1)[:, 1] @ np.linalg.norm(approaches[:, :2], axis=1))
-
-
-def spread_grasps(rows: Rows, gripper: SceneGripper, camera: ParallelCamera) -> Rows:
-    """Choose a few well-spread successes: robust ones if there are any, else grasps."""
-    best = _best_rows(rows)
-    if not len(best):
-        return best
-    positions, approaches = (camera.project(vectors) for vectors in _placed(best, gripper))
-    aside = np.flatnonzero(-approaches[:, 2] < LEAST_FACING)
-    aside = aside if len(aside) else np.arange(len(best))
-    most = int(np.clip(MOST_LINKS // len(gripper.finger_links), LEAST_HANDS, MOST_HANDS))
-    return best[aside[_farthest(positions[aside], approaches[aside], most)]]
-
-
-def _placed(rows: Rows, gripper: SceneGripper) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return positions (n, 3) [m] and approach axes (n, 3) of hands, CoM frame."""
-    pose = settled_poses(rows)
-    return pose[:, :3], Rotation.from_quat(pose[:, 3:]).apply(gripper.approach_axis)
-
-
-def _best_rows(rows: Rows) -> Rows:
-    for least in (Outcome.HELD, Outcome.SHAKEN, Outcome.DROPPED):
-        best = rows[rows["outcome"] >= least]
-        if len(best):
-            return best[:: -(-len(best) // CANDIDATES)]
-    return rows[:0]
-
-
-def _farthest(positions: NDArray[np.floating], approaches: NDArray[np.floating], most: int) -> list[int]:
-    """Choose the outermost hand, then ever the one that is farthest from those chosen."""
-    features = np.hstack([positions[:, :2], 0.5 * LEAST_DISTANCE * approaches])
-    chosen = [int(np.argmax(np.linalg.norm(positions[:, :2], axis=1)))]
-    nearest = np.linalg.norm(features - features[chosen[0]], axis=1)
-    while len(chosen) < most and nearest.max() > LEAST_DISTANCE:
-        chosen.append(int(np.argmax(nearest)))
-        nearest = np.minimum(nearest, np.linalg.norm(features - features[chosen[-1]], axis=1))
-    return chosen
+    outlines = [ConvexHull(view.project(vertices)[:, :2]).volume for view in views]
+    return float(AZIMUTHS[int(np.argmax(outlines))])
 
 
 ELEVATION = np.radians(26.0)
@@ -175,12 +114,10 @@ def clear_png(image: LayeredImage) -> bytes:
     return file.getvalue()
 
 
-def view_of_hands(scene: Scene, successes: Rows, azimuth: float, pixels: int) -> RenderedView:
-    """Render the object with a few well-spread grasps on it, as they settled."""
-    camera = _camera([scene.object.mesh], azimuth, ELEVATION, (pixels, pixels))
-    chosen = spread_grasps(successes, scene.gripper, camera)
-    image = _image_of_hands(scene, chosen, azimuth, ELEVATION, (pixels, pixels))
-    return RenderedView(image.composed(), image.camera, chosen)
+def view_of_hands(scene: Scene, rows: Rows, azimuth: float, pixels: int) -> RenderedView:
+    """Render the object with the hands of `rows` (n,) on it, as they settled."""
+    image = _image_of_hands(scene, rows, azimuth, ELEVATION, (pixels, pixels))
+    return RenderedView(image.composed(), image.camera, rows)
 
 
 def _image_of_hands(
@@ -307,17 +244,16 @@ def rgb(colour: str) -> Floats:
     return np.array(to_rgb(colour), dtype=np.float32)
 
 
-CARD_PIXELS, CARD_COLOURS = 320, 128  # Width, height and colours of a picture: it stays below 100 kB
+CARD_PIXELS = 320  # Width and height of a picture in a notebook
 FINGER_COLOUR = FINGER_HUES[0]
 Poses = NDArray[np.float64]
 
 
-def grasp_card(scene: Scene, rows: Rows, title: str, figures: Iterable[tuple[str, str]]) -> str:
-    """Return HTML for a notebook: a picture of a row's hand as it settled, and its figures."""
-    view = view_of_hands(scene, rows, best_azimuth(scene, rows), CARD_PIXELS)
-    image, file = Image.fromarray(np.rint(255 * view.image).astype(np.uint8)), io.BytesIO()
-    image.quantize(CARD_COLOURS, dither=Image.Dither.NONE).save(file, format="PNG", optimize=True)
-    source = f"data:image/png;base64,{b64encode(file.getvalue()).decode()}"
+def grasp_card(scene: Scene, row: Rows, title: str, figures: Iterable[tuple[str, str]]) -> str:
+    """Return HTML for a notebook: a picture of the hand of `row` (1,), and its figures."""
+    view = np.degrees(broad_azimuth(scene)), np.degrees(ELEVATION)
+    picture = hand_picture(scene, row, (CARD_PIXELS, CARD_PIXELS), view)
+    source = f"data:image/png;base64,{b64encode(picture).decode()}"
     lines = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in figures)
     return (
         f'<div style="display:flex;gap:16px"><img src="{source}" alt="{escape(title)}">'

@@ -26,7 +26,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.rendering.drawings import OUTLINE, axes_triad, figure_text, show_view
-from qdgrasp_tools.rendering.views import best_azimuth, best_in_cells, view_of_cells
+from qdgrasp_tools.rendering.views import best_in_cells, broad_azimuth, view_of_cells
 from qdgrasp_tools.report.run_groups import (
     CurvePanel,
     MethodVariant,
@@ -334,8 +334,7 @@ def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> 
     figure, panels = panel_figure(len(rows), len(drawn), VOXEL_PANEL, title, _voxel_legend())
     for row, row_panels in zip(rows, panels, strict=True):
         beside = [one for one in everything if one.name.object == row[0].name.object]
-        largest = max(beside, key=lambda one: len(one.best))
-        azimuth = best_azimuth(largest.scene, largest.best)
+        azimuth = broad_azimuth(row[0].scene)
         for one in row:
             axes = row_panels[drawn.index(one.run.spec.method)]
             _draw_cells(axes, one, azimuth, [other.places for other in beside])

@@ -65,8 +65,6 @@ def test_the_same_rows_give_the_same_picture(tmp_path: Path) -> None:
 def test_hands_are_drawn_over_the_object() -> None:
     alone = view_of_hands(made_scene(), rows_of([]), 0.0, SMALL)
     held = view_of_hands(made_scene(), rows_of([Outcome.HELD] * 20), 0.0, SMALL)
-    assert len(alone.shown) == 0
-    assert 2 < len(held.shown) <= 20
     assert share_drawn(held.image) > 2 * share_drawn(alone.image)
 
 
