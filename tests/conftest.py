@@ -12,7 +12,6 @@ from tests.coordinator.scenes import SceneMaker, made_scene
 from tests.fakes.recorder import FakeCoordinator
 from xdist.scheduler import LoadScopeScheduling
 
-from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 
@@ -129,10 +128,10 @@ def room(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """An event: until it is set, journals have no room to grow."""
     room, append = threading.Event(), JournalWriter.append
 
-    def limited(journal: JournalWriter, part: JournalSlice, epoch: int, now: float) -> None:
+    def limited(journal: JournalWriter, *arguments: Any) -> None:
         pages = 1_000_000 if room.is_set() else 1
         journal._database.execute(f"PRAGMA max_page_count = {pages}")
-        append(journal, part, epoch, now)
+        append(journal, *arguments)
 
     monkeypatch.setattr(JournalWriter, "append", limited)
     monkeypatch.setattr("qdgrasp_coordinator.recorder.recorder.RETRY_INTERVAL", 0.02)

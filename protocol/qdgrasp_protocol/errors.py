@@ -4,7 +4,6 @@
 `MessageError` are about what other processes do.
 """
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib.util import find_spec
@@ -198,20 +197,11 @@ class TookOver(EndedEarly):
     """Another coordinator goes on with the job; this one ends, and is not to be started again."""
 
     exit_code = 3
+    BY = "another coordinator took over with"
+    """Words of a recorder's refusal, before the epoch of the other coordinator."""
 
     def __init__(self, job: str, epoch: object) -> None:
         super().__init__(f"Another coordinator of job '{job}' took over (epoch {epoch}).")
-
-    @staticmethod
-    def refusal(own: int, other: int) -> Refused:
-        """Return a recorder's refusal of a coordinator whose epoch is over."""
-        return Refused(f"epoch {own} is over: another coordinator took over with {other}")
-
-    @classmethod
-    def told_by(cls, refusal: Exception, job: str) -> "TookOver | None":
-        """Return the error if a recorder's refusal is one of `refusal`, else None."""
-        found = re.search(r"another coordinator took over with (\d+)", str(refusal))
-        return cls(job, found[1]) if found else None
 
 
 EXTRAS = {

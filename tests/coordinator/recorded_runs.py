@@ -12,7 +12,7 @@ from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import COLUMNS, Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 
 SHAPE = RowShape(genes=2, joints=2)
 
@@ -75,7 +75,7 @@ def write_journal(
     shape = RowShape(
         *(rows.dtype[name].shape[0] for name in ("genome", "joints", "descriptor", "contact_links"))
     )
-    identity = JournalIdentity(run, to_toml(spec), bundle.digest if bundle else "0" * 64, shape)
+    identity = JournalIdentity(run, spec, bundle.digest if bundle else "0" * 64, shape)
     with JournalWriter.create(path, identity) as journal:
         journal.begin_epoch(1, 0.0)
         for first in range(0, len(rows), block):

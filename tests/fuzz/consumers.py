@@ -19,10 +19,9 @@ from qdgrasp_coordinator.metrics.job_status import (
     to_json,
 )
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
-from qdgrasp_coordinator.recorder.run_writer import RunIdentity
 from qdgrasp_coordinator.scheduler.batch_dispatcher import read_result
 from qdgrasp_coordinator.storage import success_pages as found
-from qdgrasp_coordinator.storage.journal import slice_from_message
+from qdgrasp_coordinator.storage.journal import JournalIdentity, slice_from_message
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Build, MeshFile, MeshPreparation, ShapeTask
 from qdgrasp_protocol.messages import Heartbeat, Message, deflated
@@ -62,7 +61,7 @@ def finds(payload: bytes) -> object:
 
 def opening(payload: bytes) -> object:
     """A recorder's part; specs are TOML."""
-    return [RunIdentity.of(run) for run in messages.decode(payload, messages.Open).runs]
+    return [JournalIdentity.of(run) for run in messages.decode(payload, messages.Open).runs]
 
 
 def shown(kind: Any) -> Consumer:

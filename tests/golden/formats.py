@@ -12,6 +12,7 @@ from qdgrasp_coordinator.storage.journal import APPLICATION, FORMAT, JournalIden
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_protocol.messages import VERSION as PROTOCOL
 from qdgrasp_protocol.rows import COLUMNS, Outcome, RowShape
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.export.yaml_files import VERSION as ISAAC
 from qdgrasp_tools.monitor.prometheus import exposition
 
@@ -34,7 +35,9 @@ def version_text() -> str:
 def journal_text() -> str:
     """The tables of a `run.sqlite` that has no rows yet, and what it notes of its run."""
     with TemporaryDirectory() as folder:
-        identity = JournalIdentity("run", "the spec", "ab" * 32, RowShape(genes=2, joints=2))
+        identity = JournalIdentity(
+            "run", RunSpec(gripper="panda", object="mug"), "ab" * 32, RowShape(genes=2, joints=2)
+        )
         JournalWriter.create(Path(folder), identity).close()
         with closing(sqlite3.connect(Path(folder) / "run.sqlite")) as database:
             numbers = [

@@ -1,7 +1,7 @@
 """A simulated recorder: the real recorder and store, on a disk in memory that outlives it."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
 
@@ -12,14 +12,15 @@ from tests.simulation.worker import JOB, KEYS
 
 from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.recorder.recorder_service import LONGEST_WAIT
-from qdgrasp_coordinator.recorder.run_writer import RunIdentity, RunWriter, check_same_run
+from qdgrasp_coordinator.recorder.run_writer import RunWriter, check_same_run
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice, join_slices
+from qdgrasp_coordinator.storage.journal_writer import NO_PLATFORM
 from qdgrasp_protocol.bus import Channel, Sample
 from qdgrasp_protocol.errors import DiskFull, NoReply, Refused
 from qdgrasp_protocol.messages import Recorded
-from qdgrasp_protocol.rows import Rows, RowShape
-from qdgrasp_protocol.spec import RunSpec, from_toml
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import RunSpec
 
 FOLDER = Path("memory")
 
@@ -29,10 +30,7 @@ class MemoryFile:
     """A journal on the disk."""
 
     disk: "MemoryDisk"
-    run: str
-    spec: RunSpec
-    scene: str
-    shape: RowShape
+    identity: JournalIdentity
     platform: dict[str, str] = field(default_factory=dict)
     slices: list[JournalSlice] = field(default_factory=list)
     epochs: list[int] = field(default_factory=list)
@@ -42,17 +40,20 @@ class MemoryFile:
     def count(self) -> int:
         return self.slices[-1].stop if self.slices else 0
 
-    def append(self, part: JournalSlice, epoch: int, now: float) -> None:
+    def append(
+        self, part: JournalSlice, epoch: int, now: float, platform: Mapping[str, str] = NO_PLATFORM
+    ) -> None:
         self.disk.check()
         if part.first != self.count:
             raise ValueError(f"row {self.count} is next, got {part.first}")
         self.slices.append(part)
         self.epochs.append(epoch)
+        self.platform = dict(platform) or self.platform
 
     def slice(self, first: int, limit: int) -> JournalSlice:
         stop = min(first + limit, self.count)
         if first >= stop:
-            return JournalSlice(first, self.shape.empty(0))
+            return JournalSlice(first, self.identity.shape.empty(0))
         kept = [part for part in self.slices if part.stop > first and part.first < stop]
         return join_slices([part.part(first, stop) for part in kept])
 
@@ -68,12 +69,8 @@ class MemoryFile:
     def begin_epoch(self, epoch: int, now: float) -> None:
         self.disk.check()
 
-    def set_platform(self, platform: dict[str, str]) -> None:
-        self.disk.check()
-        self.platform = platform
-
-    def set_spec(self, toml: str) -> None:
-        self.spec = from_toml(toml)
+    def set_spec(self, spec: RunSpec) -> None:
+        self.identity = replace(self.identity, spec=spec)
 
     def cut(self, count: int) -> None:
         """Become an older copy of itself."""
@@ -102,8 +99,7 @@ class MemoryDisk:
 
     def begin(self, folder: Path, identity: JournalIdentity) -> None:
         self.check()
-        spec = from_toml(identity.spec)
-        self.files[folder.name] = MemoryFile(self, folder.name, spec, identity.scene, identity.shape)
+        self.files[folder.name] = MemoryFile(self, identity)
 
     def close(self, folder: Path) -> None:
         """Do nothing: what is committed is on the disk."""
@@ -139,10 +135,10 @@ class MemoryRunFolder:
 
     @property
     def spec(self) -> RunSpec:
-        return self._file.spec
+        return self._file.identity.spec
 
     def rewrite_spec(self, spec: RunSpec) -> None:
-        self._file.spec = spec
+        self._file.set_spec(spec)
 
     def add_bundle(self, payload: bytes) -> None:
         """Do nothing: the scene is not read."""
@@ -177,7 +173,7 @@ class MemoryRecorder(Recorder):
         self._memory = disk
         super().__init__(FOLDER, job, disk_wait, disk)  # type: ignore[arg-type]
 
-    def _begin_folder(self, runs: list[RunIdentity]) -> None:
+    def _begin_folder(self, runs: list[JournalIdentity]) -> None:
         self._memory.check()
         self._memory.is_begun = True
         self._lock_existing()
@@ -191,14 +187,14 @@ class MemoryRecorder(Recorder):
     def _recorded_platform(self) -> dict[str, str]:
         return next((file.platform for file in self._memory.files.values() if file.platform), {})
 
-    def _check_run(self, run: RunIdentity) -> None:
+    def _check_run(self, run: JournalIdentity) -> None:
         writer = self._find(run.run)
         if writer is not None:
             check_same_run(FOLDER, writer.identity, run)
 
-    def _open(self, run: RunIdentity) -> RunWriter:
+    def _open(self, run: JournalIdentity) -> RunWriter:
         if run.run not in self._memory.files:
-            self._memory.begin(FOLDER / run.run, run.for_journal)
+            self._memory.begin(FOLDER / run.run, run)
         writer = self._writer(run.run)
         writer.begin_epoch(run.spec, self.epoch)
         return writer

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import structlog
 
-from qdgrasp_coordinator.recorder.run_writer import RunIdentity, RunWriter, check_same_run
+from qdgrasp_coordinator.recorder.run_writer import RunWriter, check_same_run
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder
-from qdgrasp_coordinator.storage.journal import Journal, slice_from_message, slice_to_message
+from qdgrasp_coordinator.storage.journal import Journal, JournalIdentity, slice_from_message, slice_to_message
 from qdgrasp_coordinator.storage.journal_writer import OpenJournals
 from qdgrasp_coordinator.storage.outputs import JOURNAL, SPEC, OutFolder
-from qdgrasp_coordinator.storage.platforms import platform_differences, platform_of
+from qdgrasp_coordinator.storage.platforms import platform_differences
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import DropCounter, Query, Sample
@@ -102,15 +102,13 @@ class Recorder(ExitStack):
         """Process a message; ignore those of other kinds."""
         try:
             if sample.encoding == messages.encoding(Recordable):
-                self._take_rows(messages.decode(sample.payload, Recordable), now)
+                message = messages.decode(sample.payload, Recordable)
+                if not self.add_rows(message, now):
+                    self._news.add(message.run)
             elif sample.encoding == messages.encoding(Platform):
                 self.set_platform(messages.decode(sample.payload, Platform))
         except (MessageError, Refused) as error:
             self._drops.note(sample.key, error)
-
-    def _take_rows(self, message: Recordable, now: float) -> None:
-        if not self.add_rows(message, now):
-            self._news.add(message.run)
 
     def add_rows(self, message: Recordable, now: float) -> bool:
         """Queue rows for their commit; False: not taken.
@@ -163,7 +161,7 @@ class Recorder(ExitStack):
         `InputError` where a spec is not valid, or its run is to end before what is recorded of it.
         """
         self._check_request(asked)
-        runs = [RunIdentity.of(run) for run in asked.runs]
+        runs = [JournalIdentity.of(run) for run in asked.runs]
         for run in runs:
             self._check_run(run)
         goes_on = 0 < asked.epoch == self.epoch
@@ -184,7 +182,7 @@ class Recorder(ExitStack):
         if asked.job != self._job:
             raise Refused(f"this recorder keeps the runs of job '{self._job}', not of '{asked.job}'")
         if 0 < asked.epoch < self.epoch:
-            raise TookOver.refusal(asked.epoch, self.epoch)
+            raise Refused(f"epoch {asked.epoch} is over: {TookOver.BY} {self.epoch}")
         if len(set(runs)) < len(runs):
             raise Refused(f"expected different runs to open, got {runs}")
         if not runs and asked.epoch:
@@ -198,7 +196,7 @@ class Recorder(ExitStack):
                 f"{JOB_KINDS[is_campaign]}; name another folder"
             )
 
-    def _begin_folder(self, runs: list[RunIdentity]) -> None:
+    def _begin_folder(self, runs: list[JournalIdentity]) -> None:
         """Create the job's folder if it is missing, for a run of its own or for others."""
         if self._is_begun:
             return
@@ -213,7 +211,7 @@ class Recorder(ExitStack):
         if self._is_begun and self.folder.epoch < self.epoch:
             self.folder.set_epoch(self.epoch)
 
-    def _check_run(self, run: RunIdentity) -> None:
+    def _check_run(self, run: JournalIdentity) -> None:
         """Check that a run's folder holds a beginning of this run, or nothing."""
         path = self.folder.run_path(run.run)
         writer = self._find(run.run)
@@ -227,10 +225,10 @@ class Recorder(ExitStack):
         else:
             OutFolder(path).check()
 
-    def _common_platform(self, platform: dict[str, str], runs: list[RunIdentity]) -> dict[str, str]:
+    def _common_platform(self, platform: dict[str, str], runs: list[JournalIdentity]) -> dict[str, str]:
         for run in runs:
             writer = self._find(run.run)
-            recorded = writer.platform if writer else {}
+            recorded = writer.journal.platform if writer else {}
             if platform and recorded and (differing := platform_differences(platform, recorded)):
                 raise Refused(
                     f"run '{run.run}' was recorded on another platform than the job's rows: {differing}"
@@ -263,18 +261,17 @@ class Recorder(ExitStack):
         self._waiting.clear()
         self.epoch = epoch
 
-    def _open(self, run: RunIdentity) -> RunWriter:
+    def _open(self, run: JournalIdentity) -> RunWriter:
         job = self.folder
         path = job.run_path(run.run)
         if not RunFolder.is_run(path):
             RunFolder.add(job, run.run, run.spec, None)
-        if (path / JOURNAL).is_file():
-            writer = self._writer(run.run)
-            writer.begin_epoch(run.spec, self.epoch)
-            return writer
-        platform = platform_of(run.spec.engine, self._platform)
-        self._journals.begin(path, run.for_journal, self.epoch, time.time(), platform)
-        return self._keep(RunWriter(RunFolder(path), self._journals, self.epoch, run, platform))
+        if not (path / JOURNAL).is_file():
+            self._journals.begin(path, run, self.epoch, time.time())
+            return self._writer(run.run)
+        writer = self._writer(run.run)
+        writer.begin_epoch(run.spec, self.epoch)
+        return writer
 
     def _writer(self, run: str) -> RunWriter:
         writer = self._find(run)
@@ -286,14 +283,10 @@ class Recorder(ExitStack):
         """Return a run's writer; None: it has no journal."""
         path = self.folder.run_path(run)
         if run not in self.writers and (path / JOURNAL).is_file():
-            self._keep(RunWriter(RunFolder(path), self._journals, self.epoch))
+            self.writers[run] = writer = RunWriter(RunFolder(path), self._journals, self.epoch)
+            if not writer.has_scene:
+                self._without_scene[run] = writer
         return self.writers.get(run)
-
-    def _keep(self, writer: RunWriter) -> RunWriter:
-        self.writers[writer.identity.run] = writer
-        if not writer.has_scene:
-            self._without_scene[writer.identity.run] = writer
-        return writer
 
     @property
     def deadline(self) -> float:

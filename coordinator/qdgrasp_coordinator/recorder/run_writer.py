@@ -5,13 +5,10 @@ Time is passed in, in seconds of any steady clock.
 """
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from math import inf
 from pathlib import Path
-from types import MappingProxyType
-from typing import Self
 
 from qdgrasp_coordinator.metrics.job_status import RunListing
 from qdgrasp_coordinator.metrics.run_stats import RunCounter, count_rows
@@ -20,39 +17,15 @@ from qdgrasp_coordinator.storage.journal_writer import JournalWriter, OpenJourna
 from qdgrasp_coordinator.storage.platforms import platform_of
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, Refused
-from qdgrasp_protocol.messages import OpenRun
-from qdgrasp_protocol.rows import Rows, RowShape
-from qdgrasp_protocol.spec import RunSpec, differences, from_toml, to_toml
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.spec import RunSpec, differences
 
 GROUP_ROWS = 2048  # With this many rows waiting, they are committed at once
 GROUP_SECONDS = 0.25  # The longest that a row waits for its commit
 MOST_WAITING = 65_536  # Most rows that wait while commits fail; more than a coordinator sends unconfirmed
 
 
-@dataclass(frozen=True)
-class RunIdentity:
-    """A run, as a coordinator opens it or as a folder holds it."""
-
-    run: str
-    spec: RunSpec
-    scene: str
-    """sha256 of the scene bundle."""
-    shape: RowShape
-
-    @classmethod
-    def of(cls, asked: OpenRun) -> Self:
-        """Return the run that a coordinator opens; an `InputError` says what is wrong with its spec."""
-        spec = from_toml(asked.spec.decode(errors="replace"), "the coordinator's spec")
-        shape = RowShape(asked.genes, asked.joints, asked.descriptors, asked.contact_slots)
-        return cls(asked.run, spec, asked.scene, shape)
-
-    @property
-    def for_journal(self) -> JournalIdentity:
-        """The same for a new journal."""
-        return JournalIdentity(self.run, to_toml(self.spec), self.scene, self.shape)
-
-
-def check_same_run(path: Path, held: RunIdentity, asked: RunIdentity) -> None:
+def check_same_run(path: Path, held: JournalIdentity, asked: JournalIdentity) -> None:
     """Refuse a run that is not the one in a folder; budget and stop criteria may differ."""
     if differ := differences(held.spec, asked.spec):
         raise Refused(f"{path} holds a run of another spec: {', '.join(differ)} differ; name another folder")
@@ -70,24 +43,11 @@ class RunWriter:
     Rows of a lower coordinator's epoch are refused, a higher one is adopted.
     """
 
-    def __init__(
-        self,
-        folder: RunFolder,
-        journals: OpenJournals,
-        epoch: int,
-        begun: RunIdentity | None = None,
-        platform: Mapping[str, str] = MappingProxyType({}),
-    ) -> None:
-        """Take a run's journal over; one that was just `begun`, with this platform, is not read."""
+    def __init__(self, folder: RunFolder, journals: OpenJournals, epoch: int) -> None:
         self._folder = folder
         self._journals = journals
-        self.durable = 0  # Number of rows on disk
-        self.platform = dict(platform)  # Platform of the journal's rows, or of those to come
-        if begun is None:
-            journal = self.journal
-            begun = RunIdentity(journal.run, journal.spec, journal.scene, journal.shape)
-            self.platform, self.durable = journal.platform, journal.count
-        self.identity = begun
+        self.identity = self.journal.identity
+        self.durable = self.journal.count  # Number of rows on disk
         self._counter: RunCounter | None = None  # Counts rows on disk; None before the first commit
         self._epoch = epoch
         self._waiting: list[JournalSlice] = []
@@ -113,7 +73,7 @@ class RunWriter:
     def begin_epoch(self, spec: RunSpec, epoch: int) -> None:
         """Begin a coordinator's epoch, with the budget of its spec."""
         if self.identity.spec != spec:
-            self.journal.set_spec(to_toml(spec))
+            self.journal.set_spec(spec)
             self.identity = replace(self.identity, spec=spec)
             self._counter = None
         if self._folder.spec != spec:
@@ -146,18 +106,15 @@ class RunWriter:
         return True
 
     def commit(self, platform: dict[str, str]) -> None:
-        """Make the waiting rows durable, after the platform that they were made on if it is new.
+        """Make the waiting rows durable, with the platform that they were made on.
 
         On a full disk (`DiskFull`) they go on waiting.
         """
         if not self._waiting:
             return
-        platform = platform_of(self.identity.spec.engine, platform)
-        if platform and platform != self.platform:
-            self.journal.set_platform(platform)
-            self.platform = platform
         part = join_slices(self._waiting)
-        self.journal.append(part, self._epoch, time.time())
+        platform = platform_of(self.identity.spec.engine, platform)
+        self.journal.append(part, self._epoch, time.time(), platform)
         self.durable = self.expected
         self._waiting.clear()
         self._count(part.rows)

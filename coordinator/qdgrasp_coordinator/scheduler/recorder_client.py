@@ -235,8 +235,10 @@ class RecorderClient(Outbox, RowSink):
             request = Open(job=self._job, runs=runs, epoch=epoch)
             return messages.decode(self._ask(self._keys.open, request, wait), Opened)
         except (Refused, Faulty) as refusal:
-            over = TookOver.told_by(refusal, self._job)
-            raise over or InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
+            _, is_over, other = str(refusal).partition(f"{TookOver.BY} ")
+            if is_over:
+                raise TookOver(self._job, other) from None
+            raise InputError(f"The recorder does not open job '{self._job}': {refusal}.") from None
 
     def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
         """Return a page of rows from the recorder's journal; InputError if it cannot read it."""

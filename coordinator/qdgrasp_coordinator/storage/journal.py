@@ -21,9 +21,9 @@ import numpy as np
 
 from qdgrasp_coordinator.storage.outputs import JOURNAL, damaged_file
 from qdgrasp_protocol.errors import DiskFull, FolderError, MessageError
-from qdgrasp_protocol.messages import Failure, Recordable, deflated
+from qdgrasp_protocol.messages import Failure, OpenRun, Recordable, deflated
 from qdgrasp_protocol.rows import COLUMNS, Rows, RowShape, pack, unpack
-from qdgrasp_protocol.spec import RunSpec, from_toml
+from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
 from qdgrasp_protocol.text import printable
 
 APPLICATION = 0x71646772  # "qdgr"
@@ -71,21 +71,27 @@ CREATE TABLE errors (row INTEGER PRIMARY KEY, reason TEXT NOT NULL) STRICT;
 
 @dataclass(frozen=True)
 class JournalIdentity:
-    """The run that a journal belongs to: its name, spec, scene and row shape."""
+    """The run that a journal belongs to, or that a coordinator opens."""
 
     run: str
-    spec: str
-    """The full spec as TOML."""
+    spec: RunSpec
     scene: str
     """sha256 of the scene bundle."""
     shape: RowShape
+
+    @classmethod
+    def of(cls, asked: OpenRun) -> Self:
+        """Return the run that a coordinator opens; an `InputError` says what is wrong with its spec."""
+        spec = from_toml(asked.spec.decode(errors="replace"), "the coordinator's spec")
+        shape = RowShape(asked.genes, asked.joints, asked.descriptors, asked.contact_slots)
+        return cls(asked.run, spec, asked.scene, shape)
 
 
 def create_tables(database: sqlite3.Connection, identity: JournalIdentity) -> None:
     """Create the tables of a run's journal in an empty database."""
     meta = {
         "run": identity.run,
-        "spec": identity.spec,
+        "spec": to_toml(identity.spec),
         "scene": identity.scene,
         "shape": json.dumps(asdict(identity.shape)),
         "package": version("qdgrasp"),
@@ -246,12 +252,12 @@ class Journal:
     @property
     def spec(self) -> RunSpec:
         """The full spec, with the latest budget."""
-        return from_toml(self.spec_text, str(self._file))
+        return from_toml(self._meta()["spec"], str(self._file))
 
     @property
-    def spec_text(self) -> str:
-        """The full spec as TOML, with the latest budget."""
-        return self._meta()["spec"]
+    def identity(self) -> JournalIdentity:
+        """The run that it belongs to."""
+        return JournalIdentity(self.run, self.spec, self.scene, self.shape)
 
     @property
     def platform(self) -> dict[str, str]:

@@ -26,6 +26,7 @@ from qdgrasp_coordinator.storage.journal import (
 )
 from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.spec import RunSpec, to_toml
 
 SUCCESS = "INSERT INTO successes VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"
 
@@ -50,13 +51,11 @@ class JournalWriter(Journal):
         identity: JournalIdentity,
         epoch: int = 0,
         now: float = 0.0,
-        platform: Mapping[str, str] = NO_PLATFORM,
     ) -> "JournalWriter":
         """Begin the journal of a run; the file appears whole or not at all.
 
         With it is written that the coordinator of an epoch (0: none yet) opened the run at `now` [s since
-        1970], and the platform of the rows to come (empty: not known). It is written without a wait for the
-        disk, then flushed as a whole: before any row is in it.
+        1970]. It is written without a wait for the disk, then flushed as a whole: before any row is in it.
         """
         part = folder / f"{JOURNAL}.part"
         for left in folder.glob(f"{part.name}*"):
@@ -68,8 +67,6 @@ class JournalWriter(Journal):
                 create_tables(database, identity)
                 if epoch:
                     database.execute(TURN, (epoch, now, now))
-                if platform:
-                    database.execute(META, ("platform", _platform_text(platform)))
                 database.execute("PRAGMA journal_mode = WAL")
             finally:
                 database.close()
@@ -102,8 +99,10 @@ class JournalWriter(Journal):
         with self._transaction():
             self._database.execute(TURN, (epoch, now, now))
 
-    def append(self, part: JournalSlice, epoch: int, now: float) -> None:
-        """Add the next rows: all of them, durably, or none.
+    def append(
+        self, part: JournalSlice, epoch: int, now: float, platform: Mapping[str, str] = NO_PLATFORM
+    ) -> None:
+        """Add the next rows, and the platform that they were made on: all of them, durably, or none.
 
         Raises `DiskFull`, or `FolderError` where the file cannot be written or was deleted, or `ValueError`
         for other rows than the next ones.
@@ -114,19 +113,14 @@ class JournalWriter(Journal):
             raise ValueError(f"row {count} is next, got {part.first}")
         with self._transaction():
             insert_rows(self._database, part, epoch)
+            if platform:
+                self._database.execute(META, ("platform", json.dumps(dict(platform), sort_keys=True)))
             self._database.execute("UPDATE turns SET last = max(last, ?) WHERE epoch = ?", (now, epoch))
 
-    def set_platform(self, platform: dict[str, str]) -> None:
-        """Note the platform that rows are made on."""
-        self._set_meta("platform", _platform_text(platform))
-
-    def set_spec(self, toml: str) -> None:
+    def set_spec(self, spec: RunSpec) -> None:
         """Replace the spec by the same one with another budget."""
-        self._set_meta("spec", toml)
-
-    def _set_meta(self, name: str, value: str) -> None:
         with self._transaction():
-            self._database.execute(META, (name, value))
+            self._database.execute(META, ("spec", to_toml(spec)))
 
     def _check_file(self) -> None:
         """Raise `FolderError` if the file at the path is not the one that was opened."""
@@ -154,10 +148,6 @@ class JournalWriter(Journal):
                     self._database.execute("ROLLBACK")
                 raise
         self._check_file()
-
-
-def _platform_text(platform: Mapping[str, str]) -> str:
-    return json.dumps(dict(platform), sort_keys=True)
 
 
 def insert_rows(database: sqlite3.Connection, part: JournalSlice, epoch: int) -> None:
@@ -203,11 +193,9 @@ class OpenJournals:
         self._open[folder] = journal  # the last one is the one used last
         return journal
 
-    def begin(
-        self, folder: Path, identity: JournalIdentity, epoch: int, now: float, platform: Mapping[str, str]
-    ) -> None:
+    def begin(self, folder: Path, identity: JournalIdentity, epoch: int, now: float) -> None:
         """Begin the journal of a run, as `JournalWriter.create`."""
-        self._open[folder] = self._make_room().create(folder, identity, epoch, now, platform)
+        self._open[folder] = self._make_room().create(folder, identity, epoch, now)
 
     def close(self, folder: Path) -> None:
         """Close the journal in a run's folder, if it is open."""

@@ -188,7 +188,7 @@ class RunFolder:
         if (self.path / JOURNAL).exists():
             return Journal.open(self.path)
         scene = self.bundle().digest if self.has_bundle() else ""
-        return Journal.empty(JournalIdentity(self.run, to_toml(self.spec), scene, RowShape(0, 0)))
+        return Journal.empty(JournalIdentity(self.run, self.spec, scene, RowShape(0, 0)))
 
     def successes(self, least: Outcome = Outcome.DROPPED) -> Successes:
         """Return all successes as they are now, or all nominal rows of at least an outcome."""

@@ -8,7 +8,7 @@ from qdgrasp_coordinator.recorder.run_writer import (
 )
 from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 
 SHAPE = RowShape(genes=1, joints=0)
 
@@ -22,7 +22,7 @@ def part(first: int, stop: int) -> JournalSlice:
 def make_writer(epoch: int, durable: int) -> RunWriter:
     """A writer of a run in memory with so many rows."""
     disk = MemoryDisk()
-    spec = to_toml(RunSpec(gripper="panda", object="mug"))
+    spec = RunSpec(gripper="panda", object="mug")
     disk.begin(FOLDER / "a", JournalIdentity("a", spec, "", SHAPE))
     if durable:
         disk.files["a"].append(part(0, durable), epoch, 0.0)

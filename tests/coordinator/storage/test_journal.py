@@ -22,11 +22,11 @@ from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_coordinator.storage.run_folder import journal_digest
 from qdgrasp_protocol.errors import DiskFull, FolderError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 
 SHAPE = RowShape(genes=7, joints=2, contact_slots=2)
 SPEC = RunSpec(gripper="panda", object="mug", evaluations=100)
-IDENTITY = JournalIdentity("run", to_toml(SPEC), "ab" * 32, SHAPE)
+IDENTITY = JournalIdentity("run", SPEC, "ab" * 32, SHAPE)
 
 
 def make_rows(n: int, seed: int = 0) -> Rows:

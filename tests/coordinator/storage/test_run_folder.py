@@ -13,7 +13,7 @@ from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 
 SPEC = RunSpec(gripper="panda", object="mug")
 BUNDLE = Bundle(b"scene", "7ac9b4c4f4f4ab3e9b0c0cd1b4a3a7ef5a3dc1e4e2b2f7a6d0c5b8d2a1e0f9c8")
@@ -72,7 +72,7 @@ def test_a_job_has_an_identity_that_no_other_of_its_name_has(folder: RunFolder, 
 
 def recorded(folder: RunFolder, spec: RunSpec = SPEC) -> RunFolder:
     """The folder with a journal."""
-    identity = JournalIdentity("run", to_toml(spec), folder.bundle().digest, RowShape(7, 2))
+    identity = JournalIdentity("run", spec, folder.bundle().digest, RowShape(7, 2))
     JournalWriter.create(folder.path, identity).close()
     return folder
 

@@ -26,7 +26,7 @@ from qdgrasp_protocol.errors import InputError, NoReply
 from qdgrasp_protocol.messages import Order, OrderReply
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.cli import job_commands, options, run_commands
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.cli.run_commands import rerank_spec
@@ -44,9 +44,7 @@ def source(tmp_path: Path) -> RunFolder:
     rows = shape.empty(3)
     rows["index"], rows["outcome"] = np.arange(3), [Outcome.OVERLAP, Outcome.DROPPED, Outcome.MISSED]
     rows["base_to_object"][:, 6] = 1
-    with JournalWriter.create(
-        folder.path, JournalIdentity("run", to_toml(SPEC), bundle.digest, shape)
-    ) as journal:
+    with JournalWriter.create(folder.path, JournalIdentity("run", SPEC, bundle.digest, shape)) as journal:
         journal.append(JournalSlice(0, rows), 1, 0.0)
     return folder
 
