@@ -8,16 +8,14 @@ import typer
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.process import configure_logging
-from qdgrasp_tools.cli import (
-    asset_commands,
-    campaign_commands,
-    grasp_commands,
-    gripper_commands,
-    inspection_commands,
-    job_commands,
-    machine_commands,
-    run_commands,
-)
+from qdgrasp_tools.cli.asset_commands import asset_app, object_app
+from qdgrasp_tools.cli.campaign_commands import analyse, campaign, coverage
+from qdgrasp_tools.cli.grasp_commands import evaluate, export, import_
+from qdgrasp_tools.cli.gripper_commands import gripper_app
+from qdgrasp_tools.cli.inspection_commands import digest, info, methods, render, show, verify, view
+from qdgrasp_tools.cli.job_commands import cancel, continue_, drain, jobs, pause
+from qdgrasp_tools.cli.machine_commands import doctor, security_app
+from qdgrasp_tools.cli.run_commands import rerank, resume, run
 
 app = typer.Typer(
     pretty_exceptions_enable=False,
@@ -34,57 +32,23 @@ def qdgrasp(version: cli_support.VersionOption = False) -> None:
     """Define the flags that stand before a command."""
 
 
-PANELS: dict[str, dict[Callable[..., None] | typer.Typer, str]] = {
-    "Start here": {
-        machine_commands.doctor: "Check that this machine has what a run needs.",
-        run_commands.run: "Fill an archive of grasps of one hand and object.",
-        run_commands.resume: "Go on with a run that was stopped, or extend a finished one.",
-        campaign_commands.campaign: "Carry out many runs: hands, objects, methods, seeds.",
-        inspection_commands.methods: "List the search methods with their priors and defaults.",
-    },
-    "Look at what was found": {
-        inspection_commands.info: "Say what a run or a campaign is, and what it has found.",
-        inspection_commands.view: "Show the grasps of runs in the browser, in 3D.",
-        inspection_commands.show: "Print everything known about one grasp.",
-        inspection_commands.render: "Draw one evaluation, as a picture or a film.",
-    },
-    "Share": {
-        grasp_commands.export: "Write grasps to files of other tools, or as a data set.",
-        grasp_commands.import_: "Turn files of grasps into poses to evaluate.",
-    },
-    "Your own hands and objects": {
-        gripper_commands.gripper_app: "Make and check the file of a hand.",
-        asset_commands.object_app: "Check and repair the mesh of an object.",
-        asset_commands.asset_app: "List and fetch grippers and objects.",
-    },
-    "Many machines": {
-        job_commands.jobs: "List the jobs on a bus, and who works on them.",
-        job_commands.pause: "Hand out no more work of a job for now.",
-        job_commands.continue_: "Let a paused job go on.",
-        job_commands.drain: "Have workers finish their batches and leave a job.",
-        job_commands.cancel: "End a job before it is done.",
-        machine_commands.security_app: "Make certificates and access lists.",
-    },
-    "Science": {
-        grasp_commands.evaluate: "Score given hand poses.",
-        run_commands.rerank: "Score the best grasps of a run again, in many trials.",
-        inspection_commands.verify: "Evaluate recorded rows again, and compare bit for bit.",
-        inspection_commands.digest: "Print one sha256 over the rows of a run.",
-        campaign_commands.coverage: "Say how much of a reference set a run has found.",
-        campaign_commands.analyse: "Draw and tabulate what a campaign found.",
-    },
+PANELS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
+    "Start here": (doctor, run, resume, campaign, methods),
+    "Look at what was found": (info, view, show, render),
+    "Share": (export, import_),
+    "Your own hands and objects": (gripper_app, object_app, asset_app),
+    "Many machines": (jobs, pause, continue_, drain, cancel, security_app),
+    "Science": (evaluate, rerank, verify, digest, coverage, analyse),
 }
-"""The commands, and groups of commands, with a sentence each, by the headings of the help."""
-
+"""The commands, and groups of commands, by the headings of the help."""
 
 for panel, commands in PANELS.items():
-    for command, sentence in commands.items():
+    for command in commands:
         if isinstance(command, typer.Typer):
-            app.add_typer(command, short_help=sentence, rich_help_panel=panel)
+            app.add_typer(command, rich_help_panel=panel)
         else:
-            name = command.__name__.removesuffix("_")
             keys = getattr(command, "epilog", None)
-            app.command(name, short_help=sentence, rich_help_panel=panel, epilog=keys)(command)
+            app.command(command.__name__.removesuffix("_"), rich_help_panel=panel, epilog=keys)(command)
 
 
 def main() -> None:
