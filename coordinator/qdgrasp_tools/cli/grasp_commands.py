@@ -113,16 +113,9 @@ def export(
     choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in, **keys)
     folders = run_folders(directories)
     is_one = len(directories) == 1 and [folder.path for folder in folders] == directories
-    if is_one:
-        with progress_messages() as tell:
-            written = exporter.export_run(
-                folders[0], out, name, choice, frame=frame, negatives=negatives, force=force, tell=tell
-            )
-        echo(written)
-        return
-    with progress_messages() as tell, lifetime("qdgrasp export") as stop:
-        written = exporter.export_dataset(
-            folders,
+    with progress_messages() as tell:
+        written = exporter.export_grasps(
+            folders[0] if is_one else folders,
             out,
             name,
             choice,
@@ -130,11 +123,7 @@ def export(
             negatives=negatives,
             force=force,
             tell=tell,
-            is_stopped=lambda: stop.is_set,
         )
-    if not written:
-        echo("Stopped; nothing was written.", err=True)
-        raise typer.Exit(stop.exit_code)
     echo(written)
 
 

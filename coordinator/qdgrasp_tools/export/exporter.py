@@ -1,8 +1,7 @@
 """Exports grasps: of a run to a file, of runs and campaigns to a data set with a card."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from string import Template
@@ -10,6 +9,7 @@ from typing import Any, NamedTuple
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_coordinator.metrics.run_stats import count_rows
+from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.tables import csv_text
@@ -29,7 +29,6 @@ from qdgrasp_tools.export.grasp_reader import (
     choose_grasps,
     grasp_metadata,
     read_journal,
-    read_run,
 )
 from qdgrasp_tools.export.grasp_table import (
     FITNESS_MEANING,
@@ -86,8 +85,8 @@ def format_of(name: str) -> ExportFormat:
     return FORMATS[name]
 
 
-def export_run(
-    folder: RunFolder,
+def export_grasps(
+    source: RunFolder | Sequence[RunFolder],
     out: Path,
     name: str,
     choice: GraspChoice = ALL_GRASPS,
@@ -97,55 +96,78 @@ def export_run(
     force: bool = False,
     tell: Tell = ignore_progress,
 ) -> str:
-    """Write the chosen grasps of a run in the format of that name; returns a sentence about it.
+    """Write the chosen grasps of a run to a file or folder, or of several as one data set.
 
-    The file or folder `out` appears whole or not at all; `force` lets it be replaced. Poses are in the
-    object's `frame`, "mesh" or "com". At most `negatives` failures are written behind the grasps; None: as
-    many as is usual in the format. `tell` is called with each step that begins. Raises InputError if there is
-    no such format or frame, there is nothing to write, or it cannot be read or written.
+    Returns a sentence about it. The file or folder `out` appears whole or not at all; `force` lets it be
+    replaced. The choice is made of each run. Poses are in the object's `frame`, "mesh" or "com". At most
+    `negatives` failures of a run are written behind its grasps; None: as many as is usual in the format.
+    `tell` is called with each step that begins. Runs of a data set that cannot be read are left out, and
+    named in its card. Raises InputError if there is no such format or frame, there is nothing to write, or it
+    cannot be read or written.
     """
-    form, object_frame = format_of(name), frame_of(frame)
-    wanted = form.failures(negatives)
-    output: Output = OutFile(out, force=force)
-    if not form.suffix:
-        output = OutFolder(out, force=force, is_kind=jaw_files.is_graspgen)
-    output.check()
-    tell(f"reading {folder.path}")
-    with folder.journal() as journal:
-        least = Outcome.MISSED if wanted else Outcome.DROPPED
-        chosen = choose_grasps(read_journal(folder, journal, least), choice, wanted)
-        if len(chosen.grasps) == chosen.failures:
-            raise InputError(_no_grasps(folder, choice, journal.count))
-        tell(f"writing {counted(len(chosen.grasps), 'evaluation')} to {out}")
-        metadata = grasp_metadata(chosen, object_frame, journal)
-        with output.writing() as made:
-            form.write(made, chosen.grasps.table(object_frame, metadata))
-    return _written(out, chosen, choice, metadata, object_frame)
+    form = format_of(name)
+    writer = GraspWriter(form, choice, frame_of(frame), form.failures(negatives))
+    if isinstance(source, RunFolder):
+        single: Output = OutFile(out, force=force)
+        if not form.suffix:
+            single = OutFolder(out, force=force, is_kind=jaw_files.is_graspgen)
+        return writer.write_run(source, single, tell)
+    output = OutFolder(out, force=force, is_kind=is_dataset)
+    with output.writing() as made:
+        made.mkdir()
+        dataset = DatasetWriter(made, writer)
+        for run in sorted(dataset.runs(source)):
+            tell(f"run {run.name}, {len(dataset.entries)} of {len(source)} written")
+            dataset.write(run)
+        return f"{dataset.write_lists()} written to {out}, poses in the objects' {frame} frame."
 
 
-def _written(
-    out: Path, chosen: ChosenGrasps, choice: GraspChoice, metadata: GraspMetadata, frame: Frame
-) -> str:
-    beside = f" and {counted(chosen.failures, 'failure')}" if chosen.failures else ""
-    grasps = f"{counted(len(chosen.grasps) - chosen.failures, 'grasp')}{beside} written to {out}"
-    note = f" But {NOT_SETTLED}." if metadata.settled == NOT_SETTLED else ""
-    if choice.holds_in is not None:
-        unknown = counted(chosen.unknown, "grasp")
-        note += f" Left out: {unknown} whose verdict in {choice.holds_in} is not known."
-    return f"{grasps}, poses in the object's {frame} frame.{note}"
+@dataclass(frozen=True)
+class GraspWriter:
+    """The choice of grasps of each run, and the format and frame that they are written in."""
+
+    format: ExportFormat
+    choice: GraspChoice
+    frame: Frame
+    failures: int
+    """Failures of each run, at most."""
+
+    def read(
+        self, folder: RunFolder, journal: Journal, engines: Iterable[str] = (), name: str = ""
+    ) -> ChosenGrasps:
+        """Read the chosen grasps of a run; `engines` and `name` are those of `read_journal`."""
+        least = Outcome.MISSED if self.failures else Outcome.DROPPED
+        return choose_grasps(read_journal(folder, journal, least, engines, name), self.choice, self.failures)
+
+    def write_run(self, folder: RunFolder, output: Output, tell: Tell) -> str:
+        """Write the grasps of a run to a file, or a folder of GraspGen; returns a sentence about it."""
+        output.check()
+        tell(f"reading {folder.path}")
+        with folder.journal() as journal:
+            chosen = self.read(folder, journal)
+            if len(chosen.grasps) == chosen.failures:
+                found = read_journal(folder, journal, Outcome.DROPPED)
+                raise InputError(
+                    f"{folder.path} has no such grasp among {counted(len(found), 'success', 'successes')}, "
+                    f"whose fitness is at most {found.fitness.max(initial=0):g}. --min-fitness 0 takes every "
+                    "success; other limits may be too narrow."
+                )
+            tell(f"writing {counted(len(chosen.grasps), 'evaluation')} to {output.path}")
+            metadata = grasp_metadata(chosen, self.frame, journal)
+            with output.writing() as made:
+                self.format.write(made, chosen.grasps.table(self.frame, metadata))
+        note = f" But {NOT_SETTLED}." if metadata.settled == NOT_SETTLED else ""
+        if self.choice.holds_in is not None:
+            unknown = counted(chosen.unknown, "grasp")
+            note += f" Left out: {unknown} whose verdict in {self.choice.holds_in} is not known."
+        words = grasp_words(len(chosen.grasps), chosen.failures)
+        return f"{words} written to {output.path}, poses in the object's {self.frame} frame.{note}"
 
 
-def _no_grasps(folder: RunFolder, choice: GraspChoice, rows: int) -> str:
-    """Return why a run has nothing to write."""
-    successes = read_run(folder)
-    if not len(successes):
-        return f"{folder.path} has no grasp to write: there is no success among {counted(rows, 'row')}."
-    best, many = int(successes.fitness.max()), counted(len(successes), "success", "successes")
-    return (
-        f"{folder.path} has no such grasp: the best of its {many} has fitness {best} and confidence "
-        f"{successes.confidence.max():.3g}. --min-fitness 0 takes every success; other limits may be too "
-        "narrow."
-    )
+def grasp_words(rows: int, failures: int) -> str:
+    """Return how many grasps, and failures behind them, are among so many rows."""
+    beside = f" and {counted(failures, 'failure')}" if failures else ""
+    return f"{counted(rows - failures, 'grasp')}{beside}"
 
 
 DATA = "data"
@@ -177,53 +199,12 @@ Entry = dict[str, Any]
 """A line of the index: one run."""
 
 
-def export_dataset(
-    folders: Sequence[RunFolder],
-    out: Path,
-    name: str,
-    choice: GraspChoice = ALL_GRASPS,
-    *,
-    frame: str = "mesh",
-    negatives: int | None = None,
-    force: bool = False,
-    tell: Tell = ignore_progress,
-    is_stopped: Callable[[], bool] = lambda: False,
-) -> str:
-    """Write runs as one data set; returns a sentence, empty if it was stopped.
-
-    The choice is made of each run; nothing is left of an export that was stopped. Runs that cannot be read
-    are left out, and named in the card. Raises InputError where it cannot be written, or there is no grasp.
-    """
-    form = format_of(name)
-    failures = form.failures(negatives)
-    output = OutFolder(out, force=force, is_kind=is_dataset)
-    output.check()
-    with suppress(_StopExport), output.writing() as made:
-        made.mkdir()
-        writer = DatasetWriter(made, form, choice, frame_of(frame), failures)
-        for run in sorted(writer.runs(folders)):
-            tell(f"run {run.name}, {len(writer.entries)} of {len(folders)} written")
-            if is_stopped():
-                raise _StopExport
-            writer.write(run)
-        return f"{writer.write_lists()} written to {out}, poses in the objects' {frame} frame."
-    return ""
-
-
-class _StopExport(Exception):
-    """The export was stopped; nothing of it is left."""
-
-
 @dataclass
 class DatasetWriter:
     """Writes the files of a data set into a folder, run by run."""
 
     path: Path
-    format: ExportFormat
-    choice: GraspChoice
-    frame: Frame
-    failures: int
-    """Failures of each run, at most."""
+    writer: GraspWriter
     entries: list[Entry] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     """Runs that cannot be read, with the reason."""
@@ -252,17 +233,15 @@ class DatasetWriter:
 
     def write(self, run: DatasetRun) -> None:
         """Write the grasps of a run, or note why it cannot be read."""
-        least = Outcome.MISSED if self.failures else Outcome.DROPPED
         try:
             with run.folder.journal() as journal:
-                every = read_journal(run.folder, journal, least, self._engines, run.name)
-                chosen = choose_grasps(every, self.choice, self.failures)
-                metadata = grasp_metadata(chosen, self.frame, journal)
-                totals = count_rows(every.spec, journal.blocks()).totals
+                chosen = self.writer.read(run.folder, journal, self._engines, run.name)
+                metadata = grasp_metadata(chosen, self.writer.frame, journal)
+                totals = count_rows(chosen.grasps.spec, journal.blocks()).totals
         except InputError as error:
             self.left_out[run.name] = str(error)
             return
-        body, about, common = every.scene.object, run.about, common_values(every.spec)
+        body, about, common = chosen.grasps.scene.object, run.about, common_values(chosen.grasps.spec)
         self.entries.append({
             "object": run.object,
             "gripper": run.gripper,
@@ -286,13 +265,13 @@ class DatasetWriter:
 
     def _write_file(self, run: DatasetRun, chosen: ChosenGrasps, metadata: GraspMetadata) -> list[str]:
         """Write the grasps of a run, if there are any; returns the names of its files."""
-        form, home = self.format, self.path / DATA / job_name(run.gripper)
+        form, home = self.writer.format, self.path / DATA / job_name(run.gripper)
         if form.name in TABLES:
             home /= run.split or TRAIN
         if not len(chosen.grasps):
             return []
         home.mkdir(parents=True, exist_ok=True)
-        table = chosen.grasps.table(self.frame, metadata)
+        table = chosen.grasps.table(self.writer.frame, metadata)
         if form.suffix:
             made = [home / f"{run.name}{form.suffix}"]
             form.write(made[0], table)
@@ -310,7 +289,7 @@ class DatasetWriter:
                 number, first = counted(len(self.left_out), "run"), next(iter(self.left_out.values()))
                 why = f": {number} could not be read, the first: {first}"
             raise FolderError(f"There is no grasp to write{why}")
-        if not self.format.suffix:
+        if not self.writer.format.suffix:
             self._write_graspgen_lists()
         (self.path / INDEX).write_text(csv_text(self.entries, list(self.entries[0])), encoding="utf-8")
         text, words = card_text(self)
@@ -380,8 +359,7 @@ def card_text(data: DatasetWriter) -> tuple[str, str]:
     entries = data.entries
     rows, failures = (sum(entry[name] for entry in entries) for name in ("rows", "failures"))
     objects = counted(len({entry["object"] for entry in entries}), "object")
-    beside = f" and {counted(failures, 'failure')}" if failures else ""
-    words = f"{counted(rows - failures, 'grasp')}{beside} of {objects} in {counted(len(entries), 'run')}"
+    words = f"{grasp_words(rows, failures)} of {objects} in {counted(len(entries), 'run')}"
     licences: dict[str, set[str]] = {}
     for entry in entries:
         name = " ".join(entry["licence"].split()) or "not stated"
@@ -391,9 +369,9 @@ def card_text(data: DatasetWriter) -> tuple[str, str]:
         head=to_yaml(_head(data)),
         words=words,
         evaluations=counted(sum(entry["evaluations"] for entry in entries), "evaluation"),
-        frame=data.frame,
-        meaning=OBJECT_FRAMES[data.frame].format("the mesh"),
-        format=data.format.name,
+        frame=data.writer.frame,
+        meaning=OBJECT_FRAMES[data.writer.frame].format("the mesh"),
+        format=data.writer.format.name,
         licences="\n".join(f"| {name} | {len(each)} |" for name, each in sorted(licences.items())),
         left_out="\n".join(["", "## Left out", "", "Runs that could not be read:", "", *left, ""])
         if left
@@ -405,9 +383,9 @@ def card_text(data: DatasetWriter) -> tuple[str, str]:
 def _head(data: DatasetWriter) -> dict[str, Any]:
     """Return the head of the card; of formats that the hub shows as tables, with their files."""
     tables: dict[str, dict[str, str]] = {}
-    for entry in data.entries if data.format.name in TABLES else ():
+    for entry in data.entries if data.writer.format.name in TABLES else ():
         if entry["files"]:
-            pattern = f"{entry['files'].rpartition('/')[0]}/*{data.format.suffix}"
+            pattern = f"{entry['files'].rpartition('/')[0]}/*{data.writer.format.suffix}"
             tables.setdefault(entry["gripper"], {})[entry["split"] or TRAIN] = pattern
     configs = [
         {"config_name": job_name(hand),
@@ -421,6 +399,6 @@ def _head(data: DatasetWriter) -> dict[str, Any]:
         "license_name": "see-the-table-of-licences",
         "license_link": CARD,
         "task_categories": ["robotics"],
-        "tags": ["robotics", "grasping", "qdgrasp", data.format.name],
+        "tags": ["robotics", "grasping", "qdgrasp", data.writer.format.name],
         "configs": [*configs, index],
     }

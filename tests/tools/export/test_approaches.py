@@ -18,7 +18,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.campaign.source_runs import reachable_grasps
-from qdgrasp_tools.export.exporter import FORMATS, export_run
+from qdgrasp_tools.export.exporter import FORMATS, export_grasps
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run, select_grasps
 from qdgrasp_tools.export.grasp_set import Grasps
 
@@ -92,7 +92,7 @@ def test_a_reranking_takes_those_that_are_reachable(made: RunFolder) -> None:
 
 def written(run: RunFolder, tmp_path: Path, name: str) -> Path:
     out = tmp_path / f"out{FORMATS[name].suffix}"
-    export_run(run, out, name, GraspChoice(approach_distance=WAY, resting_pose="any"))
+    export_grasps(run, out, name, GraspChoice(approach_distance=WAY, resting_pose="any"))
     return out
 
 
@@ -124,7 +124,7 @@ def test_a_lift_is_told_as_one(scene: Scene, tmp_path: Path) -> None:
     asked = {"method": "contact_rand", "protocol": "lift", "resting_pose": 0, "approach_distance": 0.0}
     run = record(tmp_path / "lifted", lifted, rows, **asked)
     assert read_run(run).confidence.tolist() == [1.0, 1.0]
-    export_run(run, tmp_path / "out.csv", "csv")
+    export_grasps(run, tmp_path / "out.csv", "csv")
     said = (tmp_path / "out.csv").read_text()
     assert "# protocol: lift" in said
     assert "# fitness: 1: the hand lifted the object off the table" in said

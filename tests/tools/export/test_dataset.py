@@ -17,7 +17,7 @@ from qdgrasp_protocol.errors import FolderError, OutputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_tools.cli.main import app
-from qdgrasp_tools.export.exporter import FORMATS, export_dataset
+from qdgrasp_tools.export.exporter import FORMATS, export_grasps
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 
 OBJECTS = ("cup", "block", "ball")
@@ -64,7 +64,7 @@ def counts(folder: Path, name: str) -> dict[str, int]:
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_all_runs_are_in_it_with_as_many_grasps_as_their_journals(runs, tmp_path, name) -> None:
-    said = export_dataset(runs, tmp_path / "out", name)
+    said = export_grasps(runs, tmp_path / "out", name)
     assert "24 grasps" in said
     assert "3 objects in 6 runs written" in said
     assert counts(tmp_path / "out", name) == {
@@ -85,7 +85,7 @@ def test_several_runs_and_campaigns_are_one_data_set_and_a_run_named_twice_count
 
 
 def test_the_index_says_what_is_known_of_each_run(runs, tmp_path: Path) -> None:
-    export_dataset(runs, tmp_path / "out", "parquet")
+    export_grasps(runs, tmp_path / "out", "parquet")
     index = pandas.read_csv(tmp_path / "out" / "index.csv").set_index("run")
     for run in runs:
         line, found = index.loc[run.path.name], read_run(run)
@@ -98,26 +98,31 @@ def test_the_index_says_what_is_known_of_each_run(runs, tmp_path: Path) -> None:
 
 def test_runs_that_cannot_be_read_are_left_out_and_named(runs, tmp_path: Path) -> None:
     (runs[0].path / "run.sqlite").write_bytes(b"no journal")
-    said = export_dataset(runs, tmp_path / "out", "parquet")
+    said = export_grasps(runs, tmp_path / "out", "parquet")
     assert "1 run left out, see README.md" in said
     assert f"`{runs[0].path.name}`: " in (tmp_path / "out" / "README.md").read_text()
 
 
+def interrupt(_sentence: str) -> None:
+    raise KeyboardInterrupt
+
+
 def test_a_data_set_is_replaced_by_force_alone_and_nothing_is_left_of_one_that_was_stopped(runs, tmp_path):
     out = tmp_path / "out"
-    assert export_dataset(runs, out, "parquet", is_stopped=lambda: True) == ""
+    with pytest.raises(KeyboardInterrupt):
+        export_grasps(runs, out, "parquet", tell=interrupt)
     with pytest.raises(FolderError, match="no grasp to write"):
-        export_dataset(runs, out, "parquet", GraspChoice(min_quality=1.0, min_fitness=6))
+        export_grasps(runs, out, "parquet", GraspChoice(min_quality=1.0, min_fitness=6))
     assert [path.name for path in tmp_path.iterdir()] == ["campaign"]
-    export_dataset(runs, out, "parquet")
+    export_grasps(runs, out, "parquet")
     with pytest.raises(OutputError, match="is there already"):
-        export_dataset(runs, out, "parquet")
-    export_dataset(runs, out, "acronym", force=True)
+        export_grasps(runs, out, "parquet")
+    export_grasps(runs, out, "acronym", force=True)
     assert counts(out, "acronym")
 
 
 def test_the_head_of_the_card_names_the_tables_of_the_hub(runs, tmp_path: Path) -> None:
-    export_dataset(runs, tmp_path / "out", "parquet")
+    export_grasps(runs, tmp_path / "out", "parquet")
     head = yaml.safe_load((tmp_path / "out" / "README.md").read_text().split("---\n")[1])
     tables = {each["config_name"]: each["data_files"] for each in head["configs"]}
     assert set(tables) == {"jaw", "index"}
@@ -126,7 +131,7 @@ def test_the_head_of_the_card_names_the_tables_of_the_hub(runs, tmp_path: Path) 
 
 
 def test_graspgen_lists_each_run_in_the_split_of_its_object(runs, tmp_path) -> None:
-    export_dataset(runs, tmp_path / "out", "graspgen")
+    export_grasps(runs, tmp_path / "out", "graspgen")
     home = tmp_path / "out" / "data" / "jaw" / "splits"
     test, train = ((home / f"{name}.txt").read_text().split() for name in ("test", "train"))
     assert (len(test), len(train)) == (2, 4)

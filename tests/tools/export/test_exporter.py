@@ -16,7 +16,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import SHAKES, TRIALS, Outcome, Rows
 from qdgrasp_tools.cli.main import app
-from qdgrasp_tools.export.exporter import export_run
+from qdgrasp_tools.export.exporter import export_grasps
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 
 
@@ -40,26 +40,26 @@ def test_a_format_or_frame_that_is_none_is_refused(run, tmp_path) -> None:
 def test_where_no_grasp_is_to_be_written_it_is_said_what_there_is(make_run: MakeRun, tmp_path: Path) -> None:
     weak, none = make_run(*[Outcome.DROPPED] * 3, name="weak"), make_run(Outcome.MISSED, name="none")
     out = tmp_path / "out"
-    assert "the best of its 3 successes has fitness 0" in refusal(weak.path, "csv", out)
-    assert "there is no success among 1 row." in refusal(none.path, "csv", out)
+    assert "among 3 successes, whose fitness is at most 0" in refusal(weak.path, "csv", out)
+    assert "among 0 successes" in refusal(none.path, "csv", out)
     assert not out.exists()
-    assert "there is no success among 0 rows" in refusal(make_run(name="new").path, "csv", out)
+    assert "among 0 successes" in refusal(make_run(name="new").path, "csv", out)
 
 
 @pytest.mark.parametrize("settings", [{"protocol": "physical"}, {"protocol": "robust", "base": "physical"}])
 def test_under_physical_grasps_survived_every_push_unless_it_is_asked(make_run, tmp_path, settings) -> None:
     run, out = make_run(Outcome.SHAKEN, Outcome.MISSED, Outcome.HELD, **settings), tmp_path / "out"
     for asked, expected in ((None, [6]), (1, [3, 6])):
-        export_run(run, out, "csv", GraspChoice(min_fitness=asked), force=True)
+        export_grasps(run, out, "csv", GraspChoice(min_fitness=asked), force=True)
         assert READERS["csv"](out).beside["fitness"].astype(float).tolist() == expected
         assert f"\n# min_fitness: {asked or 6}\n" in out.read_text()
         assert qdgrasp.open(run.path).grasps(min_fitness=asked).fitness.tolist() == expected
     weak = make_run(Outcome.SHAKEN, name="weak", **settings)
     said = refusal(weak.path, "csv", tmp_path / "none")
-    assert "the best of its 1 success has fitness 3" in said
+    assert "among 1 success, whose fitness is at most 3" in said
     rows = random_rows(run.scene(), [Outcome.SHAKEN, Outcome.HELD])  # a custom evaluator's: held, fitness 2
     custom = record(tmp_path / "custom", run.scene(), rows, method="contact_rand", **settings)
-    assert export_run(custom, out, "csv", force=True).startswith("1 grasp ")
+    assert export_grasps(custom, out, "csv", force=True).startswith("1 grasp ")
     assert "\n# min_fitness: 2\n" in out.read_text()
     assert command(weak.path, "--format", "csv", "-o", out, "--min-fitness", 7).exit_code == 2
 
@@ -68,7 +68,7 @@ def test_under_physical_grasps_survived_every_push_unless_it_is_asked(make_run, 
     ("asked", "least", "expected"), [(None, 1, 6), (0, 1, 0), (3, 1, 3), (100, 1, 6), (None, 0, 6)]
 )
 def test_failures_are_written_once_as_many_as_are_asked_for(run, tmp_path, asked, least, expected) -> None:
-    export_run(run, tmp_path / "out", "graspgen", GraspChoice(min_fitness=least), negatives=asked)
+    export_grasps(run, tmp_path / "out", "graspgen", GraspChoice(min_fitness=least), negatives=asked)
     read = READERS["graspgen"](tmp_path / "out")
     assert (np.count_nonzero(~read.quality), np.count_nonzero(read.quality)) == (expected, 4)
     assert len(np.unique(read.matrices.reshape(-1, 16), axis=0)) == expected + 4
@@ -91,7 +91,7 @@ def test_confidence_is_eta_where_all_trials_are_there(scene: Scene, tmp_path: Pa
     grasps = read_run(run)
     np.testing.assert_allclose(grasps.eta, [0.75, 0.2, np.nan])
     np.testing.assert_allclose(grasps.confidence, [0.75, 0.2, 1.0])
-    export_run(run, tmp_path / "out", "csv", GraspChoice(top=1))
+    export_grasps(run, tmp_path / "out", "csv", GraspChoice(top=1))
     assert READERS["csv"](tmp_path / "out").quality.tolist() == [0.75]
 
 

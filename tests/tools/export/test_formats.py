@@ -18,7 +18,7 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import from_toml
 from qdgrasp_tools.export import exporter
-from qdgrasp_tools.export.exporter import FORMATS, export_run
+from qdgrasp_tools.export.exporter import FORMATS, export_grasps
 from qdgrasp_tools.export.grasp_reader import NOT_SETTLED, GraspChoice, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import GraspMetadata, RunTable
@@ -55,7 +55,7 @@ class TestFormat:
     """What holds of every format."""
 
     def read(self, run: RunFolder, out: Path, name: str, **settings: object) -> Read:
-        export_run(run, out, name, **settings)
+        export_grasps(run, out, name, **settings)
         return READERS[name](out)
 
     @pytest.mark.parametrize("frame", ORIGINS)
@@ -114,7 +114,7 @@ class TestFormat:
 
     def test_the_same_run_gives_the_same_bytes(self, run, tmp_path, name) -> None:
         for out in ("one", "two"):
-            export_run(run, tmp_path / out, name)
+            export_grasps(run, tmp_path / out, name)
         assert files(tmp_path / "one") == files(tmp_path / "two")
 
     def test_a_run_without_settled_poses_says_so_and_leaves_them_out(self, scene, tmp_path, name) -> None:
@@ -135,18 +135,18 @@ class TestFormat:
 
         for before in ({}, None):
             if before is None:
-                export_run(run, tmp_path / "out", name)
+                export_grasps(run, tmp_path / "out", name)
                 before = files(tmp_path / "out")
             with monkeypatch.context() as patch:
                 patch.setattr(exporter, "format_of", lambda name: replace(FORMATS[name], write=half))
                 with pytest.raises(InputError, match="no space left on device"):
-                    export_run(run, tmp_path / "out", name, GraspChoice(min_fitness=2), force=True)
+                    export_grasps(run, tmp_path / "out", name, GraspChoice(min_fitness=2), force=True)
             assert {path.name for path in tmp_path.iterdir()} == {"run", "out"} if before else {"run"}
             assert not before or files(tmp_path / "out") == before
 
 
 def test_graspgen_has_failures_and_the_mesh_that_its_poses_are_of(run, tmp_path) -> None:
-    export_run(run, tmp_path / "out", "graspgen")
+    export_grasps(run, tmp_path / "out", "graspgen")
     read = READERS["graspgen"](tmp_path / "out")
     simulated = read_run(run).rows["outcome"].size + 4  # two missed, two brushed
     assert (read.quality.sum(), len(read.quality)) == (4, simulated)
@@ -159,7 +159,7 @@ def test_what_graspgen_reads_with_the_offset_of_the_file_approaches_along_z_and_
     run: RunFolder, scene: Scene, grasps: Grasps, tmp_path: Path
 ) -> None:
     """GraspGen multiplies each transform by the offset that its gripper is described with."""
-    export_run(run, tmp_path / "out", "graspgen", negatives=0)
+    export_grasps(run, tmp_path / "out", "graspgen", negatives=0)
     read = READERS["graspgen"](tmp_path / "out")
     position, turn = read.about["transform_offset_from_asset_to_graspgen_convention"]
     hands = read.matrices @ homogeneous([[*position, *turn]])

@@ -20,7 +20,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.export import importer
-from qdgrasp_tools.export.exporter import export_run
+from qdgrasp_tools.export.exporter import export_grasps
 from qdgrasp_tools.export.importer import ImportedPoses, ObjectFrame
 
 
@@ -97,7 +97,7 @@ def test_another_scale_hand_link_or_joint_is_pointed_out(panda, tmp_path: Path, 
 
 
 def test_the_command_takes_a_file_of_another_hand_or_object_only_where_that_is_said(run, tmp_path) -> None:
-    export_run(run, tmp_path / "f", "parquet")
+    export_grasps(run, tmp_path / "f", "parquet")
     out = tmp_path / "poses.npz"
     asked = ["import", str(tmp_path / "f"), "--gripper", "panda", "--object", "mug", "-o", str(out)]
     refusal = CliRunner().invoke(app, asked).exception
@@ -111,7 +111,7 @@ def test_the_command_takes_a_file_of_another_hand_or_object_only_where_that_is_s
 
 
 def test_an_object_of_another_size_is_another_one_and_a_changed_mesh_is_not(run, tmp_path) -> None:
-    export_run(run, tmp_path / "f", "parquet")
+    export_grasps(run, tmp_path / "f", "parquet")
     scene = run.scene()
     com, size = np.array(scene.object.com_in_mesh), np.subtract(scene.object_high, scene.object_low)
     largest = float(size.max())
@@ -129,7 +129,7 @@ def test_an_object_of_another_size_is_another_one_and_a_changed_mesh_is_not(run,
 
 @pytest.mark.parametrize("name", ["acronym", "parquet", "isaac", "graspgen"])
 def test_what_was_damaged_anywhere_is_read_or_refused(run: RunFolder, tmp_path: Path, name: str) -> None:
-    export_run(run, tmp_path / "whole", name)
+    export_grasps(run, tmp_path / "whole", name)
     content, hand = imported_file(tmp_path / "whole").read_bytes(), run.scene().gripper
     refused, random = 0, np.random.default_rng(0)
     for _ in range(40):

@@ -12,7 +12,7 @@ from qdgrasp_coordinator.search.fixed_poses import read_poses
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows
-from qdgrasp_tools.export.exporter import export_run
+from qdgrasp_tools.export.exporter import export_grasps
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 from qdgrasp_tools.export.importer import hand_named, object_frame
 from qdgrasp_tools.export.importer import import_poses as read_file
@@ -26,7 +26,7 @@ COMPARED = [column.name for column in RESULT if column.name not in ("proposals",
 def there_and_back(run: RunFolder, name: str, path: Path, **settings: str) -> np.ndarray:
     """The genomes of poses that were exported, imported, written for `evaluate` and read by it."""
     out = path / name
-    export_run(run, out, name, GraspChoice(min_fitness=0), force=True, **settings)
+    export_grasps(run, out, name, GraspChoice(min_fitness=0), force=True, **settings)
     found = read_file(imported_file(out), hand_named(run.spec.gripper), object_frame(run.spec.object))
     assert found.notes == ()
     found.write(OutFile(path / "poses.npz", force=True))
