@@ -5,15 +5,15 @@ runs tells what is done without a look into their journals; a run that is not in
 """
 
 import re
-from collections import Counter, deque
-from collections.abc import Iterable, Mapping
+from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from qdgrasp_assets.asset_paths import named_path
 from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, is_in_catalog, shape_task, unpack_shape
 from qdgrasp_coordinator.metrics.job_status import RunListing
-from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, count_rows
+from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.scheduler.run_plan import (
     BuildReply,
     JobExtent,
@@ -63,8 +63,6 @@ def extend_run(folder: RunFolder, **goals: float) -> None:
     folder.rewrite_spec(spec)
 
 
-DIGITS = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?|'[^']*'")
-"""Numbers and names, which reasons are told apart without."""
 TASK_NAME = re.compile(r"'mesh\.\w+'")  # The name of a mesh where its shape is built
 SCENE_KEYS = (
     *("gripper", "object", "mass", "scale", "friction", "mesh", "about"),
@@ -116,11 +114,6 @@ def campaign_progress(folder: JobFolder, runs: Mapping[str, RunSpec]) -> dict[st
     return found
 
 
-def count_endings(runs: Iterable[RunListing]) -> Counter[str]:
-    """Count finished runs by why they ended; numbers in it are left out."""
-    return Counter(DIGITS.sub("N", run.finished) for run in runs if run.finished)
-
-
 class CampaignRunQueue(RunQueue):
     """The unfinished runs of a campaign, each made when it is next.
 
@@ -137,14 +130,8 @@ class CampaignRunQueue(RunQueue):
         self._runs = runs
         begun = campaign_progress(folder, runs) if folder else {}
         finished = {name: found.totals for name, found in begun.items() if found.finished}
-        self.runs_begun = len(begun) - len(finished)
-        """Number of runs that have begun, and are not finished."""
-        self.recorded = sum((found.totals for found in begun.values()), NO_TOTALS)
-        """Totals of all runs, as far as they are recorded; finished or not."""
         asked = JobExtent.of({name: spec.evaluations for name, spec in runs.items()})
         self.extent = asked.with_done(finished)
-        self.ends = count_endings(begun.values())
-        """Number of finished runs for each reason of their end; numbers in it are left out."""
         self._left = deque(self.extent.budgets)  # Runs that were not looked at
         self._unseen = {_shape_of(runs[name]) for name in self._left} - {None}  # Shapes of these alone
         self._unseen_at_first = len(self._unseen)

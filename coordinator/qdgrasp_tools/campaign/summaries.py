@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from msgspec import Struct, field, structs
+from msgspec import field, structs
 
 from qdgrasp_coordinator.metrics.cells import niches
 from qdgrasp_coordinator.metrics.job_status import (
@@ -31,7 +31,6 @@ from qdgrasp_coordinator.metrics.success_metrics import (
     diversity,
 )
 from qdgrasp_coordinator.metrics.successes import TrialPlan, find_successes
-from qdgrasp_coordinator.scheduler.run_plan import JobExtent
 from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, SKIPPED
@@ -41,7 +40,7 @@ from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_file import read_campaign
-from qdgrasp_tools.campaign.campaign_folder import DIGITS, campaign_progress, count_endings
+from qdgrasp_tools.campaign.campaign_folder import campaign_progress
 from qdgrasp_tools.campaign.object_library import SkippedObject, read_skip_report
 from qdgrasp_tools.report.row_report import genome_reader
 
@@ -363,20 +362,18 @@ def table_lines(listings: Sequence[ObjectListing]) -> list[str]:
     return aligned_text([list(COLUMNS), *cells], left).splitlines()
 
 
-class CampaignSummary(Struct, frozen=True, kw_only=True):
-    """Counts of a campaign: what is asked for, what is finished, and what was left out."""
+CAMPAIGN_FIELDS = ("campaign", "runs", "runs_done", "objects", "budget")  # Of a table's beginning
+
+
+class CampaignSummary(RunTotals, frozen=True, kw_only=True):
+    """Counts of all rows of a campaign, of what is asked for, finished and left out."""
 
     campaign: str
     runs: int
     runs_done: int
     objects: int
-    evaluations: int
+    budget: int
     """Sum of the budgets of all runs."""
-    evaluations_done: int
-    """Evaluations of finished runs."""
-    successes: int
-    """Successes of finished runs; `grasps` are those that survived a disturbance."""
-    grasps: int
     skipped: int
     """Objects that cannot be used, and are left out."""
     ended: dict[str, int]
@@ -391,7 +388,7 @@ class CampaignSummary(Struct, frozen=True, kw_only=True):
     @property
     def table(self) -> str:
         """All counts, one to a line."""
-        values = structs.asdict(self)
+        values = dict.fromkeys(CAMPAIGN_FIELDS, "") | structs.asdict(self)
         reasons, states = values.pop("reasons"), values.pop("states")
         ended = values.pop("ended")
         little = values.pop("little")
@@ -406,6 +403,8 @@ class CampaignSummary(Struct, frozen=True, kw_only=True):
         return "\n".join(lines)
 
 
+DIGITS = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?|'[^']*'")
+"""Numbers and names, which reasons are told apart without."""
 LEAST_NAMED = 10  # The most objects that a summary's table names
 
 
@@ -417,24 +416,21 @@ def campaign_objects(folder: JobFolder) -> list[ObjectListing]:
 def campaign_summary(folder: JobFolder) -> CampaignSummary:
     """Count what a campaign asks for, has finished and left out, also while it goes on."""
     runs, begun = _runs_so_far(folder)
-    finished = {name: found.totals for name, found in begun.items() if found.finished}
-    extent = JobExtent.of({name: spec.evaluations for name, spec in runs.items()}).with_done(finished)
     objects = _objects_of(folder, runs, begun)
     reasons = Counter(
         DIGITS.sub("N", skipped.reason.partition("; ")[0])
         for skipped in read_skip_report(folder.path / SKIPPED)
     )
+    ended = Counter(DIGITS.sub("N", found.finished) for found in begun.values() if found.finished)
     return CampaignSummary(
+        **structs.asdict(sum((found.totals for found in begun.values()), NO_TOTALS)),
         campaign=folder.name,
-        runs=extent.runs,
-        runs_done=extent.runs_done,
+        runs=len(runs),
+        runs_done=ended.total(),
         objects=len({spec.object for spec in runs.values()}),
-        evaluations=extent.evaluations,
-        evaluations_done=extent.done.evaluations,
-        successes=extent.done.successes,
-        grasps=extent.done.grasps,
+        budget=sum(spec.evaluations for spec in runs.values()),
         skipped=reasons.total(),
-        ended=dict(count_endings(begun.values()).most_common()),
+        ended=dict(ended.most_common()),
         reasons=dict(reasons.most_common()),
         states=count_states(objects),
         little=[f"{one.object}: {one.note}" for one in objects if one.little],

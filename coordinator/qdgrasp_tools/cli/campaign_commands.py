@@ -20,17 +20,16 @@ from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.spec import STOP_KEYS
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_file import (
-    Campaign,
     campaign_of_meshes,
     check_meshes,
     read_campaign,
 )
 from qdgrasp_tools.campaign.campaign_folder import (
-    CampaignRunQueue,
     begin_campaign,
     open_campaign,
 )
 from qdgrasp_tools.campaign.object_library import LibraryRules, is_manifest
+from qdgrasp_tools.campaign.summaries import campaign_summary
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.run_commands import check_not_stopped, echo_errors, resume_hint, run_job
 from qdgrasp_tools.local.progress import progress_display, progress_messages
@@ -147,7 +146,7 @@ def campaign(
         if extent.runs_done < extent.runs:
             run_job(folder, config, shown, stop)
     check_not_stopped(folder, stop)
-    print_summary(folder, asked, is_timed=seconds is not None)
+    print_summary(folder, is_timed=seconds is not None)
 
 
 def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) -> Path:
@@ -158,29 +157,19 @@ def _campaign_folder(what: Path | None, objects: Path | None, out: Path | None) 
     return what
 
 
-def print_summary(folder: JobFolder, asked: Campaign, *, is_timed: bool) -> None:
+def print_summary(folder: JobFolder, *, is_timed: bool) -> None:
     """Print what the campaign's runs have recorded, finished or not; exit if it is not finished.
 
     `is_timed`: it was to end after some seconds, so that this is no failure.
     """
-    queue = CampaignRunQueue(folder, asked.runs)
-    found, recorded = queue.extent, queue.recorded
-    is_whole = found.runs_done == found.runs
-    if not is_whole:
+    found = campaign_summary(folder)
+    echo(found.table)
+    echo(f"`qdgrasp analyse {folder.path}` draws the figures.")
+    echo_errors(found.errors, str(folder.path))
+    if found.runs_done < found.runs:
         echo(f"Not all runs are finished; {resume_hint(folder)}")
-    begun = "" if is_whole else f" finished and {queue.runs_begun} begun,"
-    echo(
-        f"{found.runs_done} of {counted(found.runs, 'run')}{begun} with "
-        f"{counted(recorded.evaluations, 'evaluation')}: {recorded.found}, "
-        f"{counted(recorded.grasps, 'grasp')}, {recorded.screened}. "
-        f"`qdgrasp analyse {folder.path}` draws the figures."
-    )
-    if queue.ends:
-        ends = "; ".join(f"{count} as {reason}" for reason, count in queue.ends.most_common())
-        echo(f"Finished runs ended: {ends}.")
-    echo_errors(recorded.errors, str(folder.path))
-    if found.runs_done < found.runs and not is_timed:
-        raise typer.Exit(EndedEarly.exit_code)
+        if not is_timed:
+            raise typer.Exit(EndedEarly.exit_code)
 
 
 def analyse(

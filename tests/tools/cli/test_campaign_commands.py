@@ -9,10 +9,8 @@ import trimesh
 from tests.coordinator.recorded_campaigns import BUDGET, record_campaign
 from typer.testing import CliRunner
 
-from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_tools.campaign.campaign_file import SATURATION, Campaign, read_campaign
-from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue
+from qdgrasp_tools.campaign.campaign_file import SATURATION, Campaign
 from qdgrasp_tools.cli import campaign_commands
 from qdgrasp_tools.cli.main import app
 
@@ -85,13 +83,9 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(asked: Asked, line: 
 
 def test_a_campaign_that_ends_early_says_what_all_of_its_runs_have_recorded(tmp_path, capsys) -> None:
     folder = record_campaign(tmp_path / "out", 8)
-    asked = read_campaign(folder.path / CAMPAIGN, here=False)
-    campaign_commands.print_summary(folder, asked, is_timed=True)
-    first, counts = capsys.readouterr().out.splitlines()[:2]
-    assert first.startswith("Not all runs are finished; ")
-    recorded = CampaignRunQueue(folder, asked.runs).recorded
-    assert recorded.evaluations == 11 * BUDGET + BUDGET // 2
-    assert counts.startswith(
-        f"11 of 16 runs finished and 1 begun, with {recorded.evaluations} evaluations: "
-        f"{recorded.successes} successes in {recorded.cells} cells, {recorded.grasps} grasps, "
-    )
+    campaign_commands.print_summary(folder, is_timed=True)
+    lines = capsys.readouterr().out.splitlines()
+    words = [line.split() for line in lines]
+    assert ["runs", "done", "11"] in words
+    assert ["evaluations", str(11 * BUDGET + BUDGET // 2)] in words
+    assert lines[-1].startswith("Not all runs are finished; ")
