@@ -209,9 +209,7 @@ def _two_views(
     """
     meshes = [mesh for pieces in panels.values() for mesh, _ in pieces]
     points = np.concatenate([np.zeros((1, 3)), BEYOND * tips, *(mesh.vertices for mesh in meshes)])
-    camera = fit_camera(
-        points, AZIMUTH, ELEVATION, RAYS_PER_PIXEL * PORTRAIT_PIXELS, RAYS_PER_PIXEL * PORTRAIT_PIXELS, field
-    )
+    camera = fit_camera(points, AZIMUTH, ELEVATION, (PORTRAIT_PIXELS, PORTRAIT_PIXELS), field)
     figure = Figure(figsize=PORTRAIT_SIZE, dpi=PORTRAIT_DPI, facecolor="white")
     figure.text(0.022, 0.945, figure_text(name), size=20, weight="bold", color=INK, va="center")
     figure.text(0.022, 0.89, figure_text(words), size=11, color=FAINT, va="center")

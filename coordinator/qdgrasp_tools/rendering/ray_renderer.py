@@ -67,6 +67,7 @@ class ParallelCamera:
         return np.asarray(eye @ self.axes)
 
 
+RAYS_PER_PIXEL = 2  # Rays for each pixel of the final image, along each side
 MARGIN = 0.015  # Left free on each side, as a share of the image
 FIELD = 0.26  # No image is narrower than this unless it is asked for [m], so that small objects look small
 
@@ -75,14 +76,14 @@ def fit_camera(
     points: NDArray[np.floating],
     azimuth: float,
     elevation: float,
-    rows: int,
-    columns: int,
+    size: tuple[int, int],
     field: float = FIELD,
 ) -> ParallelCamera:
     """Return a camera whose image holds all points (n, 3), and is at least `field` [m] wide.
 
-    It stands at `azimuth` about z and `elevation` above it [rad].
+    It stands at `azimuth` about z and `elevation` above it [rad]; `size` is width and height [pixels].
     """
+    columns, rows = (RAYS_PER_PIXEL * side for side in size)
     (ca, sa), (ce, se) = ((np.cos(angle), np.sin(angle)) for angle in (azimuth, elevation))
     right, toward = np.array([-sa, ca, 0.0]), np.array([ca * ce, sa * ce, se])
     axes = np.array([right, np.cross(toward, right), toward], dtype=np.float32)
@@ -206,9 +207,6 @@ def soft_light(normals: Floats, camera: ParallelCamera) -> Floats:
     """Return the light on what is translucent, by its normals (m, 3): 0 to 1, facing the sun."""
     sun = unit_vectors(np.array([SUN]))[0] @ camera.axes
     return np.asarray(0.5 + 0.5 * (normals @ sun))
-
-
-RAYS_PER_PIXEL = 2  # Rays for each pixel of the final image, along each side
 
 
 @dataclass

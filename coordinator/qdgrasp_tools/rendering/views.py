@@ -23,7 +23,6 @@ from qdgrasp_coordinator.metrics.grasp_quality import settled_poses
 from qdgrasp_coordinator.metrics.successes import survival
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_tools.rendering.ray_renderer import (
-    RAYS_PER_PIXEL,
     Floats,
     LayeredImage,
     ParallelCamera,
@@ -39,7 +38,7 @@ AZIMUTHS = np.radians(np.arange(-165, 180, 30))  # Azimuths that are tried
 def broad_azimuth(scene: Scene) -> float:
     """Return the azimuth [rad] that shows most of the object: the one with the largest outline."""
     vertices = scene.object.mesh.vertices
-    views = [fit_camera(vertices, azimuth, ELEVATION, 100, 100) for azimuth in AZIMUTHS]
+    views = [fit_camera(vertices, azimuth, ELEVATION, (100, 100)) for azimuth in AZIMUTHS]
     outlines = [ConvexHull(view.project(vertices)[:, :2]).volume for view in views]
     return float(AZIMUTHS[int(np.argmax(outlines))])
 
@@ -52,8 +51,6 @@ FINGER_HUES = (
 )  # fmt: skip
 """Colours of hands in turn: neighbours are told apart with any colour vision."""
 CUBE_EDGE = 0.0072  # Edge of the cube that stands for a cell [m]; less than a cell, so that they stay apart
-LEAST_CUBE = 5.0
-"""Pixels along the edge of a cube, at least: around a large object cubes stand for blocks of cells."""
 CUT_OPEN_CELLS = 600
 """With more cells, those toward the viewer's right are left out to show the inside."""
 
@@ -79,8 +76,6 @@ class RenderedView:
     shown: Rows
     is_uncut: bool = True
     """True: nothing was left out to show the inside."""
-    block: int = 1
-    """A cube stands for the cells in a block of so many along each side."""
 
 
 def object_picture(scene: Scene, pixels: int) -> bytes:
@@ -89,8 +84,7 @@ def object_picture(scene: Scene, pixels: int) -> bytes:
     Returns a PNG, `pixels` wide and high.
     """
     body = scene.object.mesh
-    side = RAYS_PER_PIXEL * pixels
-    image = LayeredImage(fit_camera(body.vertices, OBJECT_AZIMUTH, ELEVATION, side, side, field=0.0))
+    image = LayeredImage(fit_camera(body.vertices, OBJECT_AZIMUTH, ELEVATION, (pixels, pixels), field=0.0))
     paint_solid(image, RayMesh(body), rgb(CLAY))
     return clear_png(image)
 
@@ -124,7 +118,8 @@ def _image_of_hands(
     scene: Scene, rows: Rows, azimuth: float, elevation: float, size: tuple[int, int]
 ) -> LayeredImage:
     body, links = scene.object.mesh, list(_links(scene, settled_poses(rows), rows["joints"]))
-    image = LayeredImage(_camera([body, *(link.mesh for link in links)], azimuth, elevation, size))
+    points = np.concatenate([body.vertices, *(link.mesh.vertices for link in links)])
+    image = LayeredImage(fit_camera(points, azimuth, elevation, size))
     paint_solid(image, RayMesh(body), rgb(CLAY))
     for link in links:
         paint_link(image, link)
@@ -140,38 +135,21 @@ def view_of_cells(
 ) -> RenderedView:
     """Render the object, and a cube for the cell of each of the rows `best` (n,).
 
-    The rows are in distinct cells. The cubes have the colours of their fitness. Where a cube would be
-    narrower than `LEAST_CUBE`, it stands for a block of cells, in the colour of the best of them. Cells
-    `beside` it (m, 3), of other views of the object, are in the image's bounds, and it is cut open where one
-    of these views is.
+    The rows are in distinct cells. The cubes have the colours of their fitness. Cells `beside` it (m, 3), of
+    other views of the object, are in the image's bounds, and it is cut open where one of these views is.
     """
     places = cells(best["descriptor"][:, :3])
     body, views = scene.object.mesh, [places, *beside]
-    image = LayeredImage(_camera([body, *map(_cubes, views)], azimuth, ELEVATION, (pixels, pixels)))
-    block = int(np.ceil(LEAST_CUBE * RAYS_PER_PIXEL * image.camera.step / CUBE_EDGE))
-    blocks, kinds = _in_blocks(places, survival(best), block)
-    hues = np.array([rgb(colour) for colour in success_metrics.FITNESS_COLOURS])[kinds]
-    right, _, toward = image.camera.project(blocks / PER_METRE).T
+    points = np.concatenate([body.vertices, *(_cubes(each).vertices for each in views)])
+    image = LayeredImage(fit_camera(points, azimuth, ELEVATION, (pixels, pixels)))
+    hues = np.array([rgb(colour) for colour in success_metrics.FITNESS_COLOURS])[survival(best)]
+    right, _, toward = image.camera.project(places / PER_METRE).T
     kept = (right < 0) | (toward < 0) | (max(map(len, views)) <= CUT_OPEN_CELLS)
     cubes = np.repeat(hues[kept], len(CUBE_FACES), axis=0)
     clay = np.tile(rgb(CLAY), (len(body.faces), 1))
-    solid = join([body, _cubes(blocks[kept], block * CUBE_EDGE)])
+    solid = join([body, _cubes(places[kept])])
     paint_solid(image, RayMesh(solid), np.concatenate([clay, cubes]))
-    return RenderedView(image.composed(), image.camera, best, bool(kept.all()), block)
-
-
-def _in_blocks(
-    places: NDArray[np.integer], best: NDArray[np.uint8], block: int
-) -> tuple[NDArray[np.floating], NDArray[np.uint8]]:
-    """Return the middles (m, 3) [cells] of blocks with a cell, and their best survival (m,).
-
-    `places` (n, 3) and `best` (n,) are cells with their survival.
-    """
-    order = np.argsort(-best.astype(int), kind="stable")
-    corners = (places[order] // block).astype(np.int64)
-    _, first = np.unique(cell_keys(corners), return_index=True)
-    first.sort()
-    return corners[first] * block + (block - 1) / 2, best[order[first]]
+    return RenderedView(image.composed(), image.camera, best, bool(kept.all()))
 
 
 def best_in_cells(successes: Rows) -> Rows:
@@ -187,13 +165,6 @@ def _links(scene: Scene, poses: NDArray[np.floating], joints: NDArray[np.floatin
     for hue, pose, posture in zip(cycle(map(rgb, FINGER_HUES)), poses, joints, strict=False):
         for shape, vertices in hand.place_meshes(pose, posture.astype(float)):
             yield DrawnLink(Mesh(vertices, shape.faces), hue, hand.is_finger(shape))
-
-
-def _camera(meshes: list[Mesh], azimuth: float, elevation: float, size: tuple[int, int]) -> ParallelCamera:
-    """Return the camera that sees the meshes; `size` is width and height [pixels]."""
-    columns, rows = (RAYS_PER_PIXEL * side for side in size)
-    points = np.concatenate([mesh.vertices for mesh in meshes])
-    return fit_camera(points, azimuth, elevation, rows, columns)
 
 
 def paint_solid(image: LayeredImage, solid: RayMesh, colour: Floats) -> None:
@@ -223,9 +194,9 @@ def paint_link(image: LayeredImage, link: DrawnLink) -> None:
     image.add_translucent(hits, np.clip(shaded + (1 - shaded) * paler, 0, 1), opacity)
 
 
-def _cubes(places: NDArray[np.integer] | NDArray[np.floating], edge: float = CUBE_EDGE) -> Mesh:
-    """Return a cube with this edge [m] around the middle of each cell (n, 3)."""
-    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T * edge / 2
+def _cubes(places: NDArray[np.integer]) -> Mesh:
+    """Return a cube around the middle of each cell (n, 3)."""
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T * CUBE_EDGE / 2
     vertices = (places[:, None] / PER_METRE + corners).reshape(-1, 3)
     return Mesh(vertices, (8 * np.arange(len(places))[:, None, None] + CUBE_FACES).reshape(-1, 3))
 

@@ -344,7 +344,6 @@ def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> 
 def _draw_cells(axes: Axes, one: RunVoxels, azimuth: float, beside: Sequence[NDArray[np.int64]]) -> None:
     view = view_of_cells(one.scene, one.best, azimuth, VOXEL_PIXELS, beside)
     found = one.words + ("" if view.is_uncut else "; cut open")
-    found += "" if view.block == 1 else f"; blocks of {view.block} cm"
     run = f"seed {one.run.spec.seed}, {one.run.evaluations:,} evaluations"
     axes.set_visible(True)
     show_view(axes, view, "bicubic")

@@ -44,7 +44,6 @@ from qdgrasp_protocol.replay_messages import (
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.local.supervisor import GRACE
 from qdgrasp_tools.rendering.ray_renderer import (
-    RAYS_PER_PIXEL,
     LayeredImage,
     ParallelCamera,
     RayMesh,
@@ -234,8 +233,7 @@ class SnapshotRenderer:
             bodies = [*hand, target] if snapshot.touches or not number else hand
             corners += [body.corners @ frame[:3, :3].T + frame[:3, 3] for body, frame in bodies]
         azimuth, elevation = np.radians(view)
-        columns, rows = (RAYS_PER_PIXEL * side for side in size)
-        return fit_camera(np.concatenate(corners), azimuth, elevation, rows, columns, field=0.0)
+        return fit_camera(np.concatenate(corners), azimuth, elevation, size, field=0.0)
 
     def best_view(self, still: Snapshot) -> tuple[float, float]:
         """Return azimuth and elevation [deg] from which most of both fingers and object is seen."""

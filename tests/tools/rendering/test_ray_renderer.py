@@ -32,7 +32,7 @@ def box(*sides: float) -> Mesh:
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0.0, 0.0), (-0.9, 0.4), (2.5, -1.2)])
 def test_a_ball_is_seen_where_and_as_far_as_it_is(azimuth: float, elevation: float) -> None:
-    view = fit_camera(ball().vertices, azimuth, elevation, 200, 200)
+    view = fit_camera(ball().vertices, azimuth, elevation, (100, 100))
     hits = RayMesh(ball()).cast_from(view)
     assert np.allclose(np.linalg.norm(hits.points, axis=1), 0.05, atol=3e-4)
     assert (hits.points @ view.axes[2] > -1e-3).all()
@@ -41,7 +41,7 @@ def test_a_ball_is_seen_where_and_as_far_as_it_is(azimuth: float, elevation: flo
 
 
 def test_a_ball_is_smooth_and_a_box_keeps_its_edges() -> None:
-    hits = RayMesh(ball()).cast_from(fit_camera(ball().vertices, 0.3, 0.2, 200, 200))
+    hits = RayMesh(ball()).cast_from(fit_camera(ball().vertices, 0.3, 0.2, (100, 100)))
     assert np.allclose(hits.normals, hits.points / 0.05, atol=0.02)
     faces = box(0.06)
     assert np.allclose(corner_normals(faces), faces.normals[:, None], atol=1e-6)
@@ -49,11 +49,11 @@ def test_a_ball_is_smooth_and_a_box_keeps_its_edges() -> None:
 
 def test_what_stands_behind_is_not_seen() -> None:
     both = join([box(0.06), box(0.02).moved((-0.06, 0.0, 0.0))])
-    assert RayMesh(both).cast_from(fit_camera(both.vertices, 0.0, 0.0, 100, 100)).faces.max() < 12
+    assert RayMesh(both).cast_from(fit_camera(both.vertices, 0.0, 0.0, (50, 50))).faces.max() < 12
 
 
 def test_a_point_of_the_image_looks_where_the_camera_projects() -> None:
-    view = fit_camera(ball().vertices, 0.7, 0.3, 120, 160)
+    view = fit_camera(ball().vertices, 0.7, 0.3, (80, 60))
     pixels = np.array([0, 159, 160 * 60 + 80, 160 * 120 - 1])
     seen = view.project(view.origins(pixels))
     row, column = np.divmod(pixels, 160)
@@ -63,7 +63,7 @@ def test_a_point_of_the_image_looks_where_the_camera_projects() -> None:
 
 def test_a_window_holds_every_point_that_sees_the_mesh() -> None:
     small = box(0.02).moved((0.05, -0.03, 0.02))
-    view = fit_camera(join([ball(), small]).vertices, -0.9, 0.4, 150, 150)
+    view = fit_camera(join([ball(), small]).vertices, -0.9, 0.4, (75, 75))
     everywhere = np.arange(150 * 150)
     rays = np.broadcast_to(-view.axes[2], (len(everywhere), 3)).copy()
     found = RayMesh(small).rays.run(view.origins(everywhere), rays)
@@ -74,7 +74,7 @@ def plate(height: float) -> Mesh:
     return box(0.1, 0.1, 0.002).moved((0.0, 0.0, height))
 
 
-VIEW = fit_camera(plate(0.0).vertices, 0.0, 0.5, 60, 60)
+VIEW = fit_camera(plate(0.0).vertices, 0.0, 0.5, (30, 30))
 
 
 def upward(solid: RayMesh, view: ParallelCamera) -> RayHits:
@@ -134,7 +134,7 @@ def test_a_body_in_its_own_frame_is_seen_as_where_it_stands() -> None:
     frame = np.eye(4)
     frame[:3, :3] = trimesh.transformations.rotation_matrix(1.1, [0.3, -0.5, 0.8])[:3, :3]
     frame[:3, 3] = 0.03, -0.02, 0.05
-    body, view = box(0.06, 0.03, 0.09), fit_camera(ball(0.15).vertices, 0.7, 0.3, 120, 160)
+    body, view = box(0.06, 0.03, 0.09), fit_camera(ball(0.15).vertices, 0.7, 0.3, (80, 60))
     there = Mesh(body.vertices @ frame[:3, :3].T + frame[:3, 3], body.faces)
     placed, moved = RayMesh(there).cast_from(view), RayMesh(body).cast_from(view.in_frame(frame))
     same = np.intersect1d(placed.pixels, moved.pixels)
