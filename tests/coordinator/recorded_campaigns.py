@@ -1,8 +1,9 @@
 """Folders of campaigns over libraries, made by hand: objects with many grasps or few."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -11,12 +12,16 @@ from tests.coordinator.recorded_runs import SHAPE, write_journal
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_assets.scene import Bundle, pack_scene
+from qdgrasp_coordinator.metrics.job_status import ObjectListing, RunListing
+from qdgrasp_coordinator.metrics.run_stats import RunTotals
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.campaign_file import make_campaign
 from qdgrasp_tools.campaign.campaign_folder import begin_campaign
 from qdgrasp_tools.campaign.object_library import SkippedObject
+from qdgrasp_tools.campaign.summaries import list_objects
 
 KINDS: dict[str, dict[Outcome, float]] = {
     "good": {Outcome.HELD: 0.4, Outcome.DROPPED: 0.2, Outcome.MISSED: 0.2, Outcome.OVERLAP: 0.2},
@@ -103,3 +108,34 @@ def record_campaign(
         RunFolder.add(job, name, spec, bundle)
         write_journal(job.run_path(name), spec, rows[: n // 2] if is_open else rows, bundle, run=name)
     return job
+
+
+class ObjectRun(NamedTuple):
+    """A run of an object, as far as it has got; without totals it has not begun."""
+
+    name: str
+    spec: RunSpec
+    totals: RunTotals | None = None
+    is_done: bool = False
+
+    @property
+    def listing(self) -> RunListing:
+        assert self.totals is not None
+        names = ("gripper", "object", "method", "protocol", "seed")
+        return RunListing(
+            **msgspec.structs.asdict(self.totals),
+            **{name: getattr(self.spec, name) for name in names},
+            run=self.name,
+            scene="",
+            budget=self.spec.evaluations,
+            rows=0,
+            outcomes={},
+            finished="done" if self.is_done else "",
+        )
+
+
+def listed(runs: Iterable[ObjectRun], skipped: Iterable[SkippedObject] = ()) -> list[ObjectListing]:
+    """The table of the objects of these runs."""
+    known = {run.name: run for run in runs}
+    begun = {name: run.listing for name, run in known.items() if run.totals is not None}
+    return list_objects({name: run.spec for name, run in known.items()}, begun, skipped)

@@ -9,7 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from msgspec import field, structs
@@ -157,47 +157,45 @@ MOST_WARNINGS = 4  # The most warnings about one object
 NUMBERS = re.compile(r"(\d+)")
 
 
-class ObjectRun(NamedTuple):
-    """A run of an object, as far as it has got."""
+def list_objects(
+    specs: Mapping[str, RunSpec], begun: Mapping[str, RunListing], skipped: Iterable[SkippedObject] = ()
+) -> list[ObjectListing]:
+    """Return the objects of runs, in their order, and behind them those that were left out.
 
-    name: str
-    spec: RunSpec
-    totals: RunTotals | None = None
-    """Counts of its rows; None: it has not begun."""
-    is_done: bool = False
-
-
-def list_objects(runs: Iterable[ObjectRun], skipped: Iterable[SkippedObject] = ()) -> list[ObjectListing]:
-    """Return the objects of runs, in their order, and behind them those that were left out."""
-    groups: dict[str, list[ObjectRun]] = {}
-    for run in runs:
-        groups.setdefault(run.spec.object, []).append(run)
-    finished = {file: [run for run in group if run.is_done] for file, group in groups.items()}
+    `specs` are those of all runs, by name; `begun` are the counts of those that have begun.
+    """
+    groups: dict[str, dict[str, RunSpec]] = {}
+    for name, spec in specs.items():
+        groups.setdefault(spec.object, {})[name] = spec
+    found = {file: [begun[name] for name in group if name in begun] for file, group in groups.items()}
+    finished = {file: [run for run in runs if run.finished] for file, runs in found.items()}
     means = {file: _means(done) for file, done in finished.items() if done}
     medians = np.median(list(means.values()), axis=0).tolist() if means else [0.0, 0.0]
     listings = [
-        _listing(file, group, _shortfall(finished[file], means[file], medians) if file in means else "")
+        _listing(file, group, found[file], _shortfall(finished[file], medians))
         for file, group in groups.items()
     ]
     return listings + [_skipped_listing(each) for each in skipped]
 
 
-def _means(done: Sequence[ObjectRun]) -> tuple[float, float]:
+def _means(done: Sequence[RunListing]) -> tuple[float, float]:
     """Return the mean grasps and cells of finished runs."""
-    totals = sum((run.totals for run in done if run.totals), NO_TOTALS)
+    totals = sum(done, NO_TOTALS)
     return totals.grasps / len(done), totals.cells / len(done)
 
 
-def _listing(file: str, group: Sequence[ObjectRun], little: str) -> ObjectListing:
-    about, done = group[0].spec.about, sum(run.is_done for run in group)
-    begun = [run.name for run in group if run.totals is not None]
+def _listing(
+    file: str, group: Mapping[str, RunSpec], begun: Sequence[RunListing], little: str
+) -> ObjectListing:
+    about = next(iter(group.values())).about
+    done, names = sum(bool(run.finished) for run in begun), dict.fromkeys(run.run for run in begun)
     return ObjectListing(
-        **structs.asdict(sum((run.totals for run in group if run.totals is not None), NO_TOTALS)),
+        **structs.asdict(sum(begun, NO_TOTALS)),
         object=(about.id if about and about.id else "") or (Path(file).stem if "/" in file else file),
         file=file,
         category=(about.category if about else None) or "",
-        hands=list({Path(run.spec.gripper).stem: None for run in group}),
-        names=[*begun, *(run.name for run in group if run.totals is None)][:MOST_NAMES],
+        hands=list({Path(spec.gripper).stem: None for spec in group.values()}),
+        names=list(names | dict.fromkeys(group))[:MOST_NAMES],
         runs=len(group),
         runs_done=done,
         state=_state(len(group), done, 0, has_begun=bool(begun)),
@@ -225,19 +223,16 @@ def _skipped_listing(skipped: SkippedObject) -> ObjectListing:
     )
 
 
-def _shortfall(done: Sequence[ObjectRun], means: tuple[float, float], medians: Sequence[float]) -> str:
-    """Return why an object got little in its finished runs; empty where it did not."""
-    grasps, cells = means
-    found = sum((run.totals for run in done if run.totals), NO_TOTALS)
-    if not grasps:
-        head, cause = "no grasp", main_loss(found)
-    elif grasps < LITTLE_SHARE * medians[0]:
-        head, cause = "few grasps", main_loss(found)
-    elif cells < LITTLE_SHARE * medians[1]:
-        head, cause = "few cells", found.found
-    else:
+def _shortfall(done: Sequence[RunListing], medians: Sequence[float]) -> str:
+    """Return why an object got little in its finished runs; empty where it did not, or none is."""
+    if not done:
         return ""
-    return f"{head}: {cause}"
+    (grasps, cells), found = _means(done), sum(done, NO_TOTALS)
+    if not grasps:
+        return f"no grasp: {main_loss(found)}"
+    if grasps < LITTLE_SHARE * medians[0]:
+        return f"few grasps: {main_loss(found)}"
+    return f"few cells: {found.found}" if cells < LITTLE_SHARE * medians[1] else ""
 
 
 def main_loss(found: RunTotals) -> str:
@@ -410,17 +405,15 @@ LEAST_NAMED = 10  # The most objects that a summary's table names
 
 def campaign_objects(folder: JobFolder) -> list[ObjectListing]:
     """Return the table of a campaign's objects, also while it goes on."""
-    return _objects_of(folder, *_runs_so_far(folder))
+    return list_objects(*_runs_so_far(folder), read_skip_report(folder.path / SKIPPED))
 
 
 def campaign_summary(folder: JobFolder) -> CampaignSummary:
     """Count what a campaign asks for, has finished and left out, also while it goes on."""
     runs, begun = _runs_so_far(folder)
-    objects = _objects_of(folder, runs, begun)
-    reasons = Counter(
-        DIGITS.sub("N", skipped.reason.partition("; ")[0])
-        for skipped in read_skip_report(folder.path / SKIPPED)
-    )
+    skipped = read_skip_report(folder.path / SKIPPED)
+    objects = list_objects(runs, begun, skipped)
+    reasons = Counter(DIGITS.sub("N", each.reason.partition("; ")[0]) for each in skipped)
     ended = Counter(DIGITS.sub("N", found.finished) for found in begun.values() if found.finished)
     return CampaignSummary(
         **structs.asdict(sum((found.totals for found in begun.values()), NO_TOTALS)),
@@ -441,15 +434,3 @@ def _runs_so_far(folder: JobFolder) -> tuple[Mapping[str, RunSpec], dict[str, Ru
     """Return the runs that a begun campaign asks for, and the counts of those that have begun."""
     runs = read_campaign(folder.path / CAMPAIGN, here=False).runs
     return runs, campaign_progress(folder, runs)
-
-
-def _objects_of(
-    folder: JobFolder, runs: Mapping[str, RunSpec], begun: Mapping[str, RunListing]
-) -> list[ObjectListing]:
-    shown = [
-        ObjectRun(name, spec, begun[name].totals, bool(begun[name].finished))
-        if name in begun
-        else ObjectRun(name, spec)
-        for name, spec in runs.items()
-    ]
-    return list_objects(shown, read_skip_report(folder.path / SKIPPED))

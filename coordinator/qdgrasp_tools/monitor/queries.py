@@ -38,7 +38,7 @@ from qdgrasp_protocol.keys import NAME, Keys, last_chunk, parse_number
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.campaign_file import read_campaign
 from qdgrasp_tools.campaign.object_library import read_skip_report
-from qdgrasp_tools.campaign.summaries import ObjectRun, list_objects
+from qdgrasp_tools.campaign.summaries import list_objects
 from qdgrasp_tools.report.row_report import RowContextCache
 
 COUNTING_SECONDS = 1.0  # seconds for which rows are counted for one answer; it gives what is counted then
@@ -165,15 +165,15 @@ class RunIndex:
             return count.listing
 
     def _list_objects(self) -> tuple[list[ObjectListing], int]:
-        begun = {path.name: path for path in _run_paths(self._path)}
-        runs, uncounted = list[ObjectRun](), 0
-        for name, spec in self._specs(begun).items():
-            found: RunListing | None = None
+        paths = {path.name: path for path in _run_paths(self._path)}
+        specs, begun, uncounted = self._specs(paths), dict[str, RunListing](), 0
+        for name in (name for name in specs if name in paths):
             with suppress(InputError):  # there may be no journal yet, or no good one
-                found = self._listing(begun[name], spec) if name in begun else None
-                uncounted += name in begun and found is None
-            runs.append(ObjectRun(name, spec, found and found.totals, bool(found and found.finished)))
-        return list_objects(runs, read_skip_report(self._path / SKIPPED)), uncounted
+                if found := self._listing(paths[name], specs[name]):
+                    begun[name] = found
+                else:
+                    uncounted += 1
+        return list_objects(specs, begun, read_skip_report(self._path / SKIPPED)), uncounted
 
     def _specs(self, begun: Mapping[str, Path]) -> Mapping[str, RunSpec]:
         """Return the runs of the campaign, or those that have begun and whose spec is good, by name."""

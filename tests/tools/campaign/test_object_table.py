@@ -4,14 +4,13 @@ from typing import Any
 
 import pytest
 from msgspec import structs
+from tests.coordinator.recorded_campaigns import ObjectRun, listed
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
 from qdgrasp_tools.campaign.object_library import SkippedObject
 from qdgrasp_tools.campaign.summaries import (
-    ObjectRun,
-    list_objects,
     select_objects,
     with_events,
 )
@@ -38,14 +37,14 @@ def waiting(object_: str = "mug", **more: Any) -> ObjectRun:
 
 
 def one(*runs: ObjectRun, **more: Any) -> ObjectListing:
-    (listing,) = list_objects(runs, **more)
+    (listing,) = listed(runs, **more)
     return listing
 
 
 def many(**named: RunTotals) -> dict[str, ObjectListing]:
     """Objects with one finished run each, by name, beside three that got much."""
     counts = {"a": GOOD, "b": GOOD, "c": GOOD} | named
-    return {each.object: each for each in list_objects(run(name, totals=one) for name, one in counts.items())}
+    return {each.object: each for each in listed(run(name, totals=one) for name, one in counts.items())}
 
 
 def test_the_runs_of_an_object_are_added_up() -> None:
@@ -100,18 +99,18 @@ def test_an_object_that_got_little_says_why(found: RunTotals, reason: str) -> No
 def test_an_object_is_judged_by_its_finished_runs_alone() -> None:
     """Of three runs one is over: what the others have got so far does not count against it."""
     begun = run("x", seed=1, totals=totals(evaluations=10), is_done=False)
-    assert not list_objects([run("a"), run("b"), run("x"), begun, waiting("x", seed=2)])[2].little
-    assert not list_objects([run("a"), run("x", totals=OVERLAPPING, is_done=False)])[1].little
+    assert not listed([run("a"), run("b"), run("x"), begun, waiting("x", seed=2)])[2].little
+    assert not listed([run("a"), run("x", totals=OVERLAPPING, is_done=False)])[1].little
 
 
 def test_an_object_whose_shape_is_built_is_building_until_a_run_begins() -> None:
-    before = list_objects([waiting("a"), run("b", is_done=False)], [SkippedObject("a2", "a2", "torn")])
+    before = listed([waiting("a"), run("b", is_done=False)], [SkippedObject("a2", "a2", "torn")])
     states = [each.state for each in with_events(before, [], ["a", "b", "a2"])]
     assert states == ["building", "running", "skipped"]
 
 
 OBJECTS = [
-    *list_objects(
+    *listed(
         [
             *(run(name) for name in ("part_2", "part_10", "Part_1")),
             run("x", totals=OVERLAPPING, spec={"about": ObjectRecord(id="x", category="Mug")}),

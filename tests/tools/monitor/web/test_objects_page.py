@@ -7,7 +7,7 @@ import msgspec
 import pytest
 from tests import browser
 from tests.browser import expect
-from tests.coordinator.recorded_campaigns import SKIPPED
+from tests.coordinator.recorded_campaigns import SKIPPED, ObjectRun, listed
 from tests.coordinator.scenes import made_scene
 from tests.tools.monitor.sample_jobs import event, run, values
 from tests.tools.monitor.web.conftest import (
@@ -22,7 +22,6 @@ from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
-from qdgrasp_tools.campaign.summaries import ObjectRun, list_objects
 from qdgrasp_tools.monitor.web.run_cache import JobCaches
 from qdgrasp_tools.rendering.views import object_picture
 
@@ -57,7 +56,7 @@ class ObjectLibrary(JobCaches):
 
     def __init__(self) -> None:
         super().__init__(HandMadeRecords(made_scene()))
-        self.listings = list_objects(library(), SKIPPED)
+        self.listings = listed(library(), SKIPPED)
         self.pictured: set[str] = set()
         self.png = object_picture(made_scene(), 96)
 
