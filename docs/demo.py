@@ -43,7 +43,7 @@ def demo(out: Path = Path("runs/demo"), engine: str | None = None) -> None:
     clear(out)
     chosen = engine or (DEFAULT_ENGINE if has_bullet() else "mujoco")
     spec = full_spec(RUN_DEFAULTS | SPEC | {"engine": chosen})
-    start_run(spec, out, LocalJobConfig(options.cores()), begun=mark)
+    start_run(spec, out, LocalJobConfig(options.cores()), more={MARKER: b""})
     picture = out / "grasps.png"
     folder = RunFolder.open(out)
     with folder.journal() as journal:
@@ -95,18 +95,12 @@ def _spread(scene: Scene, spec: RunSpec, found: Rows) -> Rows:
 def _draw_cells(axes: Axes, view: RenderedView) -> None:
     show_view(axes, view)
     heading = f"{counted(len(view.shown), 'cell', told='{:,}'.format)} of 1 cm where the hand had a success"
-    heading += "" if view.block == 1 else f", in blocks of {view.block} cm"
     axes.set_title(heading + ("" if view.is_uncut else ", cut open"), size=13, color=INK, loc="left", pad=4)
     for best, (colour, word) in enumerate(zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)):
         axes.plot([], [], "s", color=colour, label=f"{int((survival(view.shown) == best).sum()):,}  {word}")
     axes.legend(
         loc="upper left", bbox_to_anchor=(0, 0), frameon=False, labelcolor=FAINT, fontsize=12, reverse=True
     )
-
-
-def mark(folder: RunFolder) -> None:
-    """Mark a folder as the demo's, so that the next demo may replace it."""
-    (folder.path / MARKER).touch()
 
 
 def clear(out: Path) -> None:

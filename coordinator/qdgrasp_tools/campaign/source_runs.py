@@ -234,9 +234,10 @@ class WarmStart(Struct, frozen=True):
             )
         return cls(weights, tuple(origin for _, origin in replayed))
 
-    def write(self, folder: RunFolder) -> None:
-        """Note in the new run's folder which runs its weights were learned from."""
-        outputs.replace(folder.path / ORIGIN, msgspec.json.encode({"runs": self.runs}))
+    @property
+    def files(self) -> dict[str, bytes]:
+        """The file of the new run's folder that names the runs which its weights were learned from."""
+        return {ORIGIN: msgspec.json.encode({"runs": self.runs})}
 
 
 def learned_weights(searches: Sequence[ValueSearch]) -> FirstWeights:

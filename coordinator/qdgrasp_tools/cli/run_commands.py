@@ -1,6 +1,5 @@
 """`qdgrasp run`, `resume` and `rerank`: runs that this machine carries out."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,7 +12,7 @@ from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import NO_FILES, Files, RunFolder
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EndedEarly, FolderError, InputError, UnknownName
@@ -93,32 +92,25 @@ def run(
     asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | values | keys, str(spec) if spec else "run")
     config = LocalJobConfig(options.worker_count(workers, asked.engine), listen, security, insecure, seconds)
     place = out or Path("runs") / run_plan.default_run_name(asked)
-    if not warm_start:
-        start_run(asked, place, config, job)
-        return
-    RunFolder.check_free(place)
-    learned = WarmStart.learned(asked, [RunFolder.open(folder) for folder in warm_start])
-    start_run(
-        msgspec.structs.replace(asked, first_weights=learned.weights), place, config, job, learned.write
-    )
+    more: dict[str, bytes] = {}
+    if warm_start:
+        RunFolder.check_free(place)
+        learned = WarmStart.learned(asked, [RunFolder.open(folder) for folder in warm_start])
+        asked, more = msgspec.structs.replace(asked, first_weights=learned.weights), learned.files
+    start_run(asked, place, config, job, more)
 
 
 def start_run(
-    spec: RunSpec,
-    out: Path,
-    config: LocalJobConfig,
-    job: str | None = None,
-    begun: Callable[[RunFolder], None] = lambda _folder: None,
+    spec: RunSpec, out: Path, config: LocalJobConfig, job: str | None = None, more: Files = NO_FILES
 ) -> None:
-    """Begin a run in a new folder and carry it out; `begun` is called in between."""
+    """Begin a run in a new folder, with `more` files in it, and carry it out."""
     RunFolder.check_free(out)
     config.check_engines([spec])
     echo(f"building the scene of {spec.gripper} and {spec.object}", err=True)
     with progress_messages() as tell:
         bundle = run_plan.prepare_scene(spec, tell=tell).bundle
     with progress_display(out.name, spec.evaluations) as shown, lifetime("qdgrasp run") as stop:
-        folder = RunFolder.create(out, spec, bundle, job=job)
-        begun(folder)
+        folder = RunFolder.create(out, spec, bundle, job=job, more=more)
         run_job(folder.job, config, shown, stop)
     print_result(folder, stop, is_timed=config.seconds is not None)
 

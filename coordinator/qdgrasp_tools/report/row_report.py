@@ -176,7 +176,7 @@ def _row_fields(row: np.void, scene: Scene, prior: str) -> dict[str, Any]:
         "synergy": scene.gripper.synergies[label].name if label >= 0 else "",
         "surface_point": row["surface_point"].tolist() if is_aimed else None,  # that was aimed at
         "nu": float(row["nu"]) if is_aimed else None,  # from its normal to the direction of the hand
-        "contact_points": list(_contacts(row, scene.gripper)),
+        "contact_points": list(row_contacts(row, scene.gripper)),
         "genome": list(_gene_values(row, scene, prior)),
     }
 
@@ -194,8 +194,8 @@ def _trial_fitness(journal: Journal, row: np.void, behind: range, most: int) -> 
     return found
 
 
-def _contacts(row: np.void, gripper: SceneGripper) -> Iterator[dict[str, Any]]:
-    """Yield contacts: points on the object, unit normals into it, forces along them."""
+def row_contacts(row: np.void, gripper: SceneGripper) -> Iterator[dict[str, Any]]:
+    """Yield a row's contacts: points on the object, unit normals into it, forces along them."""
     values = row["contact_points"].astype(float).reshape(-1, CONTACT_VALUES).tolist()
     for link, (*vectors, force) in zip(row["contact_links"].tolist(), values, strict=True):
         if link:

@@ -24,7 +24,8 @@ from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, settled_mask, settled_poses
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
-from qdgrasp_protocol.rows import CONTACT_VALUES, Outcome, trial_count
+from qdgrasp_protocol.rows import Outcome, trial_count
+from qdgrasp_tools.report.row_report import row_contacts
 
 
 class TriangleMesh(Struct, frozen=True):
@@ -141,7 +142,10 @@ def grasp_view(
         "moved": moved,  # how the object moved in the hand while it closed; None as `settled`
         "turned": turned,
         "margin": _known(margin),  # None where it is not known
-        "contacts": _contacts(find, hand),  # some of them where there were many
+        "contacts": [  # some of them where there were many; `finger`: it makes a success
+            each | {"finger": each["link"] in hand.gripper.finger_links}
+            for each in row_contacts(find, hand.gripper)
+        ],
     }
 
 
@@ -169,23 +173,6 @@ def _as_poses(frames: Floats) -> list[list[float]]:
     quaternions = Rotation.from_matrix(frames[:, :3, :3]).as_quat()
     poses: list[list[float]] = np.column_stack([frames[:, :3, 3], quaternions]).round(7).tolist()
     return poses
-
-
-def _contacts(find: np.void, hand: HandGeometry) -> list[dict[str, object]]:
-    """Return the contacts after closing: points, unit normals into the object, forces."""
-    gripper, values = hand.gripper, find["contact_points"].astype(float).reshape(-1, CONTACT_VALUES).tolist()
-    links = [gripper.links[number - 1] if number else "" for number in find["contact_links"].tolist()]
-    return [
-        {
-            "link": link,
-            "finger": link in gripper.finger_links,  # whether its contact makes a success
-            "point": parts[:3],
-            "normal": parts[3:6],
-            "force": parts[6],
-        }
-        for link, parts in zip(links, values, strict=True)
-        if link
-    ]
 
 
 def _words(kind: Outcome) -> str:
