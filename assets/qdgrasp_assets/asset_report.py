@@ -32,8 +32,8 @@ from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.grippers.gripper_file import GripperFile, gripper_faults, read_gripper_file, urdf_path
 from qdgrasp_assets.grippers.hand_model import guess_base, read_hand_model
 from qdgrasp_assets.grippers.mjcf import is_mjcf, read_mjcf
-from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element
-from qdgrasp_assets.grippers.urdf_checks import hand_faults, motion_faults, structure_faults, weight_faults
+from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element, structure_faults
+from qdgrasp_assets.grippers.urdf_checks import hand_faults, motion_faults, weight_faults
 from qdgrasp_assets.object_model import ObjectDraft
 from qdgrasp_assets.scene import Vector, vector
 from qdgrasp_assets.ycb import lengths_in_words
@@ -334,8 +334,7 @@ def read_hand(path: Path) -> tuple[Urdf | None, tuple[str, ...], tuple[str, ...]
     if not is_mjcf(path):
         return *read_robot(path), ()
     robot, notes = read_mjcf(path)
-    faults = structure_faults(robot.element)
-    return (None if faults else robot), faults, notes
+    return robot, (), notes
 
 
 def read_robot(urdf: Path) -> tuple[Urdf | None, tuple[str, ...]]:
@@ -344,12 +343,10 @@ def read_robot(urdf: Path) -> tuple[Urdf | None, tuple[str, ...]]:
     Raises `AssetError` if there is no such file, or it is no URDF.
     """
     element = read_robot_element(urdf)
-    faults = structure_faults(element)
-    if not faults:
-        try:
-            return parse_robot(urdf, element), ()
-        except AssetError as error:
-            faults = (str(error).rstrip("."),)
+    try:
+        return parse_robot(urdf, element), ()
+    except AssetError as error:
+        faults = structure_faults(element) or (str(error).rstrip("."),)
     return None, (*faults, *motion_faults(element), *weight_faults(element))
 
 

@@ -11,7 +11,7 @@ from qdgrasp_assets.geometry.resting_poses import chosen_resting_poses
 from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
-from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts, read_object
+from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts
 from qdgrasp_assets.object_shape import ObjectShape, file_shape, is_in_catalog, shape_of
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
 from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
@@ -56,12 +56,12 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress) -> Scene:
     if is_in_catalog(spec.object):
         target = find_object(spec)
         return _scene(spec, hand, target, shape_of(target, spec.protocol, spec.surface_seed))
-    return _scene(spec, hand, _file_facts(spec), file_shape(spec, tell))
+    return _scene(spec, hand, file_facts(spec), file_shape(spec, tell))
 
 
 def assemble_scene(spec: RunSpec, shape: ObjectShape) -> Scene:
     """Assemble the scene of a spec, a mesh file of this shape; errors of `build_scene`."""
-    return _scene(spec, carried_hand(spec), _file_facts(spec), shape)
+    return _scene(spec, carried_hand(spec), file_facts(spec), shape)
 
 
 def carried_hand(spec: RunSpec) -> SceneGripper:
@@ -70,11 +70,6 @@ def carried_hand(spec: RunSpec) -> SceneGripper:
     if spec.engine:
         check_convex(hand)
     return hand
-
-
-def _file_facts(spec: RunSpec) -> ObjectFacts:
-    facts = file_facts(named_path(spec.object), spec.mass, spec.scale, spec.mesh, spec.about)
-    return facts if spec.friction is None else replace(facts, lateral_friction=spec.friction)
 
 
 def _scene(spec: RunSpec, hand: SceneGripper, facts: ObjectFacts, shape: ObjectShape) -> Scene:
@@ -143,25 +138,19 @@ def gripper_path(name: str) -> Path:
 
 
 def find_object(spec: RunSpec) -> ObjectModel:
-    """Return the object of a spec, with its mass and friction; errors of `build_scene`."""
+    """Return the object of a spec, one of the catalog, with its mass and friction."""
     name = spec.object
-    if spec.scale is not None and is_in_catalog(name):
+    if spec.scale is not None:
         raise AssetError(
             f"The object '{name}' of the catalog has its own size: leave --units out, which is for mesh "
             "files."
         )
-    if spec.mesh is not None and is_in_catalog(name):
+    if spec.mesh is not None:
         raise AssetError(
             f"The object '{name}' of the catalog is taken as it is: leave --mesh out, which is for mesh "
             "files."
         )
-    if name in STAND_INS:
-        target = stand_in(name)
-    elif name in ycb.SCAN_NAMES:
-        target = ycb.read_scan(name, spec.protocol)
-    else:
-        check_object(name)
-        target = read_object(named_path(name), spec.mass, spec.scale, spec.mesh, spec.about)
+    target = stand_in(name) if name in STAND_INS else ycb.read_scan(name, spec.protocol)
     mass = target.mass if spec.mass is None else spec.mass
     friction = target.lateral_friction if spec.friction is None else spec.friction
     return replace(target, mass=mass, lateral_friction=friction)

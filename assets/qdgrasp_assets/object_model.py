@@ -14,9 +14,9 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from qdgrasp_assets.asset_paths import cache_folder, write_whole
+from qdgrasp_assets.asset_paths import cache_folder, named_path, write_whole
 from qdgrasp_assets.code_version import building_code, file_digest
-from qdgrasp_assets.geometry.collision_parts import Tell, collision_parts, ignore_progress
+from qdgrasp_assets.geometry.collision_parts import Tell, collision_parts
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import (
     check_file,
@@ -33,7 +33,7 @@ from qdgrasp_assets.geometry.mesh_repair import (
 )
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.spec import ObjectRecord
+from qdgrasp_protocol.spec import ObjectRecord, RunSpec
 
 log = logging.getLogger(__name__)
 
@@ -173,29 +173,11 @@ class ObjectModel(ObjectGeometry, ObjectFacts):
     """An object with its geometry in the frame of its mesh file."""
 
 
-def read_object(
-    path: Path,
-    mass: float | None,
-    scale: float | None = None,
-    preparation: MeshPreparation | None = None,
-    about: ObjectRecord | None = None,
-) -> ObjectModel:
-    """Read an object from any closed mesh file; its CoM is that of the enclosed volume.
-
-    `mass` is in kg, `scale` in metres to a unit of the file; None: 1. `preparation` as in `read_draft`;
-    `about` gives it a name, a source and a licence. Its convex parts serve `released` too, as the collision
-    mesh that normals come from. Raises `AssetError` if the mesh cannot be used, or there is no mass.
-    """
-    facts = file_facts(path, mass, scale, preparation, about)
-    draft = solid_draft(path, scale, preparation)
-    warn_of_mesh(path, draft.repairs)
-    return ObjectModel(**vars(facts), **vars(geometry_of(draft, path.name)))
-
-
-def geometry_of(draft: ObjectDraft, name: str, tell: Tell = ignore_progress) -> ObjectGeometry:
+def geometry_of(draft: ObjectDraft, name: str, tell: Tell) -> ObjectGeometry:
     """Return the geometry of a draft without faults, with its convex parts.
 
-    It is called `name` in messages. `tell` is called with a sentence before each slow step.
+    Its CoM is that of the enclosed volume; its parts serve `released` too, as the collision mesh that normals
+    come from. It is called `name` in messages. `tell` is called with a sentence before each slow step.
     Errors of `collision_parts`.
     """
     tell(f"looking whether the hull of {name} will do")
@@ -209,24 +191,20 @@ def geometry_of(draft: ObjectDraft, name: str, tell: Tell = ignore_progress) -> 
     )
 
 
-def file_facts(
-    path: Path,
-    mass: float | None,
-    scale: float | None = None,
-    preparation: MeshPreparation | None = None,
-    about: ObjectRecord | None = None,
-) -> ObjectFacts:
+def file_facts(spec: RunSpec) -> ObjectFacts:
     """Return the facts of an object of a mesh file; `AssetError` if there is no mass."""
-    if mass is None:
+    path = named_path(spec.object)
+    if spec.mass is None:
         raise AssetError(f"The mesh file '{path}' has no mass; say how heavy the object is with --mass (kg).")
-    said = about or ObjectRecord()
-    changes = ((f"scale {scale:g}",) if scale is not None else ()) + (preparation or AS_IT_IS).words
+    said = spec.about or ObjectRecord()
+    changes = ((f"scale {spec.scale:g}",) if spec.scale is not None else ()) + (spec.mesh or AS_IT_IS).words
     file = f"{path.name} ({', '.join(changes)})" if changes else path.name
     return ObjectFacts(
         name=said.id or path.stem,
         source=f"{said.source}: {file}" if said.source else file,
         licence=said.licence or "not stated",
-        mass=mass,
+        mass=spec.mass,
+        lateral_friction=LATERAL_FRICTION if spec.friction is None else spec.friction,
     )
 
 

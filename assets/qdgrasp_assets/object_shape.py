@@ -266,7 +266,7 @@ def _judged_shape(
 def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
     """Return the shape of a spec's mesh file, from the store, or built here and put there.
 
-    `tell` is called with a sentence before each slow step. Errors and warnings are those of `read_object`.
+    `tell` is called with a sentence before each slow step. Errors are those of `solid_draft`.
     """
     path, store, task = named_path(spec.object), ShapeStore(), shape_task(spec)
     if task and (known := store.get(task.key)):

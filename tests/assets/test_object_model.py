@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_assets.object_model import read_draft, read_object, read_solid
-from qdgrasp_protocol.build_messages import MeshPreparation
+from qdgrasp_assets.object_model import file_facts, read_draft, read_solid, solid_draft
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.spec import RunSpec
 
 BLOCK = (0.02, 0.03, 0.05)
 
@@ -48,9 +48,9 @@ def test_bodies_that_are_apart_are_one_object_only_if_that_is_said_and_need_a_ma
     path = write(tmp_path / "pair.stl", trimesh.util.concatenate([block(), block(0.1, 0, 0)]))
     assert read_solid(path).volume == pytest.approx(2 * np.prod(BLOCK), rel=1e-4)
     with pytest.raises(AssetError, match=r"about 0.08 m of air between them.* say with --mesh glued"):
-        read_object(path, 0.1)
+        solid_draft(path)
     with pytest.raises(AssetError, match="has no mass; say how heavy the object is with --mass"):
-        read_object(path, None, preparation=MeshPreparation(glued=True))
+        file_facts(RunSpec(gripper="", object=str(path)))
 
 
 def test_several_geometries_of_a_scene_are_one_object_where_they_stand(tmp_path):

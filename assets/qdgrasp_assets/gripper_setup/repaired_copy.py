@@ -33,8 +33,17 @@ from qdgrasp_assets.grippers.hand_model import (
     contradicted_limits,
     read_hand_model,
 )
-from qdgrasp_assets.grippers.urdf import Urdf, add_file, drop_visuals, parse_origin, parse_robot, read_urdf
-from qdgrasp_assets.grippers.urdf_checks import LARGEST_SHAPE, SIMULATOR_FORMATS, edges, listed, unweighed
+from qdgrasp_assets.grippers.urdf import (
+    Urdf,
+    add_file,
+    drop_visuals,
+    edges,
+    listed,
+    parse_origin,
+    parse_robot,
+    read_urdf,
+)
+from qdgrasp_assets.grippers.urdf_checks import LARGEST_SHAPE, SIMULATOR_FORMATS, unweighed
 from qdgrasp_protocol.errors import AssetError
 
 MUCH_FILLED = 0.1  # A link is hollow where its hull fills the room in front of this share of its surface

@@ -23,7 +23,7 @@ from qdgrasp_assets.grippers.gripper_file import (
     read_gripper_file,
     urdf_path,
 )
-from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf, without_visuals
+from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf
 from qdgrasp_assets.grippers.urdf_checks import hand_faults
 from qdgrasp_assets.scene import CarrierJoint, FreeJoint, Jaw, Joint, SceneGripper, unit_vector
 from qdgrasp_protocol.errors import AssetError
@@ -179,7 +179,7 @@ class Gripper:
         """Mount the hand for a protocol; `AssetError` if a mesh is missing, empty or unreadable."""
         file, is_rated = self.file, protocol in RATED
         urdf, carrier = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
-        element, meshes = without_visuals(urdf).bundled()
+        element, meshes = urdf.bundled()
         return SceneGripper(
             name=self.name,
             source=self.source,

@@ -18,7 +18,7 @@ import numpy as np
 from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, geodesic, hull, parts_to_obj
 from qdgrasp_assets.grippers.mjcf_couplings import Mechanism, command_ranges, efforts, find_couplings
-from qdgrasp_assets.grippers.urdf import MOST_LINKS, Urdf, UrdfJoint, add_file, parse_robot
+from qdgrasp_assets.grippers.urdf import MOST_LINKS, MOST_NAMED, Urdf, UrdfJoint, add_file, parse_robot
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.text import counted, first_few, quoted
 
@@ -26,7 +26,6 @@ SOFT = ("composite", "flexcomp", "flex", "deformable", "skin")  # Elements of bo
 CHAIN_MASS, CHAIN_INERTIA = 1e-3, 1e-7  # For links between two joints of a body [kg, kg m2]
 ROUND_FREQUENCY = 4  # of the geodesic spheres that capsules and ellipsoids are made of: 162 corners
 SMALL_TURN = np.radians(2 * np.pi)  # Hinges that turn by less were written in radians, and read as degrees
-MOST_NAMED = 4  # Most names in a sentence
 UPRIGHT = 1e-9  # Cosine of a pitch that is taken for a right angle
 
 

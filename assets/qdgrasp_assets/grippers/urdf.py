@@ -7,6 +7,7 @@ import copy
 import importlib.util
 import re
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
@@ -18,6 +19,7 @@ from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import AssetError
+from qdgrasp_protocol.text import first_few, quoted
 
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
 
@@ -173,35 +175,95 @@ class Urdf:
 
 def read_urdf(path: Path) -> Urdf:
     """Read a robot from a URDF file; errors of `read_robot_element` and `parse_robot`."""
-    robot = parse_robot(path, read_robot_element(path))
-    reached = set(robot.links) - {joint.child for joint in robot.joints}
-    while further := {joint.child for joint in robot.joints if joint.parent in reached} - reached:
-        reached |= further
-    if len(reached) < len(robot.links):
-        raise AssetError(f"The URDF '{path}' is not one tree: some of its joints close a circle.")
-    return robot
+    return parse_robot(path, read_robot_element(path))
 
 
 def parse_robot(path: Path, element: ET.Element, meshes: Mapping[str, bytes] | None = None) -> Urdf:
     """Return the robot of a `<robot>` element, one tree; its mesh references start at `path`.
 
-    `meshes` are the contents of those that are no files.
+    `meshes` are the contents of those that are no files. Raises `AssetError` with all `structure_faults`.
     """
+    if faults := structure_faults(element):
+        raise AssetError(f"The URDF '{path}' is not one tree of links: {'; and '.join(faults)}.")
     links = tuple(link.get("name", "") for link in element.findall("link"))
     joints = tuple(_joint(path, joint) for joint in element.findall("joint"))
-    for joint in joints:
-        for link in (joint.parent, joint.child):
-            if link not in links:
-                raise AssetError(
-                    f"The URDF '{path}': joint '{joint.name}' names the link '{link}', which does not exist."
-                )
-    roots = set(links) - {joint.child for joint in joints}
-    if len(roots) != 1 or len(joints) != len(links) - 1 or len(set(links)) != len(links):
-        raise AssetError(
-            f"The URDF '{path}' is not one tree: {len(links)} links, {len(joints)} joints, "
-            f"{len(roots)} roots."
-        )
     return Urdf(path, element, links, joints, meshes or {})
+
+
+MEASURES = frozenset(
+    ("xyz", "rpy", "size", "scale", "radius", "length", "lower", "upper", "effort", "velocity", "value")
+)
+NON_FINITE = frozenset(("nan", "inf", "infinity"))
+MOST_NAMED = 4  # Most names listed for each fault
+
+
+def structure_faults(element: ET.Element) -> tuple[str, ...]:
+    """Return the faults that keep links and joints of a `<robot>` from being one tree."""
+    checks = _name_faults, _missing_links, _tree_faults, _number_faults
+    return tuple(fault for check in checks for fault in check(element))
+
+
+def _name_faults(element: ET.Element) -> Iterator[str]:
+    for kind in ("link", "joint"):
+        names = Counter(each.get("name", "") for each in element.findall(kind))
+        if names.pop("", 0):
+            yield f"a {kind} has no name; give each its own"
+        if twice := [name for name, times in names.items() if times > 1]:
+            yield f"{listed(kind, twice)} named more than once; give each its own name"
+    if element.find("link") is None:
+        yield "it has no links"
+
+
+def _missing_links(element: ET.Element) -> Iterator[str]:
+    links = {link.get("name", "") for link in element.findall("link")}
+    for joint in element.findall("joint"):
+        for tag in ("parent", "child"):
+            if (name := joint_end(joint, tag)) not in links:
+                fault = (
+                    f"names the {tag} link '{name}', which does not exist" if name else f"has no {tag} link"
+                )
+                yield f"the joint '{joint.get('name', '')}' {fault}; correct the name or add the link"
+
+
+def _tree_faults(element: ET.Element) -> Iterator[str]:
+    links = [link.get("name", "") for link in element.findall("link")]
+    hanging = Counter(child for _, child in edges(element))
+    if twice := [name for name, times in hanging.items() if times > 1]:
+        yield (
+            f"{listed('link', twice)} the child of two joints: it closes a loop, which neither URDF nor the "
+            "simulator knows; cut the loop by leaving one of the joints out, and drive the rest alike"
+        )
+    roots = [name for name in links if name not in hanging]
+    if len(roots) > 1:
+        yield (
+            f"it has {len(roots)} roots ({first_few(quoted(roots), MOST_NAMED)}), and a URDF has one: join "
+            "them by fixed joints, or leave out what is no part of the robot"
+        )
+    outward, reached = list(edges(element)), set(roots)
+    while found := {child for parent, child in outward if parent in reached} - reached:
+        reached |= found
+    if round_about := sorted(set(links) - reached):
+        yield f"{listed('link', round_about)} carried by itself in a circle of joints; cut the circle"
+
+
+def _number_faults(element: ET.Element) -> Iterator[str]:
+    """Yield faults of values such as nan and inf, which `float` accepts."""
+    for each in element.iter():
+        for name, value in each.attrib.items():
+            if name in MEASURES and any(word.lower().lstrip("+-") in NON_FINITE for word in value.split()):
+                yield f'<{each.tag} {name}="{value}"> holds a number that is not finite; correct it'
+
+
+def edges(element: ET.Element) -> Iterator[tuple[str, str]]:
+    """Yield the parent and child link of each joint; empty where a joint does not name one."""
+    for joint in element.findall("joint"):
+        yield joint_end(joint, "parent"), joint_end(joint, "child")
+
+
+def listed(kind: str, names: list[str]) -> str:
+    """Names with their kind and its verb: "the link 'a' is", "the links 'a', 'b' are"."""
+    many = len(names) > 1
+    return f"the {kind}{'s' if many else ''} {first_few(quoted(names), MOST_NAMED)} {'are' if many else 'is'}"
 
 
 def scene_robot(gripper: SceneGripper) -> Urdf:
@@ -351,16 +413,8 @@ def _xacro_advice(path: Path) -> str:
     )
 
 
-def without_visuals(robot: Urdf) -> Urdf:
-    """Return the robot without its visual shapes."""
-    element = copy.deepcopy(robot.element)
-    drop_visuals(element)
-    return replace(robot, element=element)
-
-
-def drop_visuals(element: ET.Element) -> int:
-    """Remove the visual shapes of a `<robot>`, and return how many there were."""
-    found = [(link, visual) for link in element.findall("link") for visual in link.findall("visual")]
-    for link, visual in found:
-        link.remove(visual)
-    return len(found)
+def drop_visuals(element: ET.Element) -> None:
+    """Remove the visual shapes of a `<robot>`."""
+    for link in element.findall("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)

@@ -1,10 +1,9 @@
 """Checks of a hand's URDF: faults that the simulator would not take, in words.
 
-Tree, joints, masses and meshes are checked, and all faults listed at once.
+Joints, masses and meshes are checked, and all faults listed at once (`urdf` checks that it is one tree).
 """
 
 import xml.etree.ElementTree as ET
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 
@@ -14,85 +13,8 @@ from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import stl_triangles
 from qdgrasp_assets.grippers.collision_shapes import FORMS
 from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elements
-from qdgrasp_assets.grippers.urdf import Urdf, joint_end
+from qdgrasp_assets.grippers.urdf import Urdf, edges, listed
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.text import first_few, quoted
-
-MEASURES = frozenset(
-    ("xyz", "rpy", "size", "scale", "radius", "length", "lower", "upper", "effort", "velocity", "value")
-)
-NON_FINITE = frozenset(("nan", "inf", "infinity"))
-MOST_NAMED = 4  # Most names listed for each fault
-
-
-def structure_faults(element: ET.Element) -> tuple[str, ...]:
-    """Return the faults that keep links and joints of a `<robot>` from being one tree."""
-    checks = _name_faults, _missing_links, _tree_faults, _number_faults
-    return tuple(fault for check in checks for fault in check(element))
-
-
-def _name_faults(element: ET.Element) -> Iterator[str]:
-    for kind in ("link", "joint"):
-        names = Counter(each.get("name", "") for each in element.findall(kind))
-        if names.pop("", 0):
-            yield f"a {kind} has no name; give each its own"
-        if twice := [name for name, times in names.items() if times > 1]:
-            yield f"{listed(kind, twice)} named more than once; give each its own name"
-    if element.find("link") is None:
-        yield "it has no links"
-
-
-def _missing_links(element: ET.Element) -> Iterator[str]:
-    links = {link.get("name", "") for link in element.findall("link")}
-    for joint in element.findall("joint"):
-        for tag in ("parent", "child"):
-            if (name := joint_end(joint, tag)) not in links:
-                fault = (
-                    f"names the {tag} link '{name}', which does not exist" if name else f"has no {tag} link"
-                )
-                yield f"the joint '{joint.get('name', '')}' {fault}; correct the name or add the link"
-
-
-def _tree_faults(element: ET.Element) -> Iterator[str]:
-    links = [link.get("name", "") for link in element.findall("link")]
-    hanging = Counter(child for _, child in edges(element))
-    if twice := [name for name, times in hanging.items() if times > 1]:
-        yield (
-            f"{listed('link', twice)} the child of two joints: it closes a loop, which neither URDF nor the "
-            "simulator knows; cut the loop by leaving one of the joints out, and drive the rest alike"
-        )
-    roots = [name for name in links if name not in hanging]
-    if len(roots) > 1:
-        yield (
-            f"it has {len(roots)} roots ({first_few(quoted(roots), MOST_NAMED)}), and a URDF has one: join "
-            "them by fixed joints, or leave out what is no part of the robot"
-        )
-    outward, reached = list(edges(element)), set(roots)
-    while found := {child for parent, child in outward if parent in reached} - reached:
-        reached |= found
-    if round_about := sorted(set(links) - reached):
-        yield f"{listed('link', round_about)} carried by itself in a circle of joints; cut the circle"
-
-
-def _number_faults(element: ET.Element) -> Iterator[str]:
-    """Yield faults of values such as nan and inf, which `float` accepts."""
-    for each in element.iter():
-        for name, value in each.attrib.items():
-            if name in MEASURES and any(word.lower().lstrip("+-") in NON_FINITE for word in value.split()):
-                yield f'<{each.tag} {name}="{value}"> holds a number that is not finite; correct it'
-
-
-def edges(element: ET.Element) -> Iterator[tuple[str, str]]:
-    """Yield the parent and child link of each joint; empty where a joint does not name one."""
-    for joint in element.findall("joint"):
-        yield joint_end(joint, "parent"), joint_end(joint, "child")
-
-
-def listed(kind: str, names: list[str]) -> str:
-    """Names with their kind and its verb: "the link 'a' is", "the links 'a', 'b' are"."""
-    many = len(names) > 1
-    return f"the {kind}{'s' if many else ''} {first_few(quoted(names), MOST_NAMED)} {'are' if many else 'is'}"
-
 
 LIMITED = ("revolute", "prismatic")
 KINDS = {

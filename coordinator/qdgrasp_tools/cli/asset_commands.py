@@ -27,7 +27,7 @@ from qdgrasp_coordinator.storage.outputs import OutFile, is_drawn_here
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_protocol.spec import run_spec
+from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import progress_messages
@@ -241,8 +241,8 @@ def _made(
 
 def _drawn(found: ObjectReport, draft: ObjectDraft, path: Path, folder: Path) -> Path:
     if found.convex is not None:
-        facts = file_facts(path, found.mass or 1.0)
-        body = ObjectModel(**vars(facts), **vars(geometry_of(draft, path.name)))
+        facts = file_facts(RunSpec(gripper="", object=str(path), mass=found.mass or 1.0))
+        body = ObjectModel(**vars(facts), **vars(geometry_of(draft, path.name, ignore_progress)))
         return draw_asset(body, path.name, folder)
     from qdgrasp_tools.rendering.drawings import draw_mesh  # matplotlib takes its time to import
 

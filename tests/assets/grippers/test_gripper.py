@@ -65,9 +65,9 @@ IN_URDF = (
     ('type="revolute"', 'type="planar"', "'bend' is a planar one, which no motor drives"),
     ('"mount"', '"${mount}"', "is a xacro file, of which a URDF is made"),
     ('xyz="0 0 0.1"', 'xyz="0 0 up"', r"must hold 3 numbers"),
-    ('<child link="finger"/>', '<child link="fngr"/>', "names the link 'fngr'"),
+    ('<child link="finger"/>', '<child link="fngr"/>', "names the child link 'fngr'"),
     ('<child link="finger"/>', '<child link="palm"/>', "is not one tree"),
-    ('<parent link="palm"/><child', '<parent link="finger"/><child', "joints close a circle"),
+    ('<parent link="palm"/><child', '<parent link="finger"/><child', "in a circle of joints"),
 )
 
 
