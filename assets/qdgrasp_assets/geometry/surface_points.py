@@ -9,7 +9,7 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh
 
 POINTS_PER_METRE = 10_000  # "2000 points per 0.2 m of the diagonal of the object's bounding box"
 BULLET_MARGIN = 0.004  # m: what Bullet adds on each side of a compound of convex hulls at load
-CHUNK = 1 << 20  # pairs of point and triangle that are compared at once: about 200 MB
+CHUNK = 1 << 17  # pairs of point and triangle that are compared at once: about 100 MB
 
 
 @dataclass(frozen=True)
@@ -78,33 +78,11 @@ def nearest_triangle(points: Floats, triangles: Floats) -> NDArray[np.int64]:
 
     `points` (n, 3), `triangles` (t, 3, 3); the result (n,) are indices of triangles.
     """
-    rows = max(1, CHUNK // len(triangles))
-    blocks = [points[start : start + rows] for start in range(0, len(points), rows)]
-    return np.concatenate([_squared_distances(block, triangles).argmin(axis=1) for block in blocks])
+    from trimesh.triangles import closest_point  # slow to import
 
-
-def _squared_distances(points: Floats, triangles: Floats) -> Floats:
-    """Return squared distances (n, t) of points to triangles: to plane or nearest edge."""
-    a, b, c = np.moveaxis(triangles, 1, 0)
-    edges = [_to_segment(points, start, end) for start, end in ((a, b), (b, c), (c, a))]
-    distances: Floats = np.minimum(np.minimum(edges[0], edges[1]), edges[2])
-    normals = np.cross(b - a, c - a)
-    squares = np.einsum("tc,tc->t", normals, normals)
-    height = points @ normals.T - np.einsum("tc,tc->t", a, normals)
-    plane = height**2 / np.where(squares > 0, squares, 1.0)
-    inside = squares > 0
-    for start, end in ((a, b), (b, c), (c, a)):
-        inward = np.cross(normals, end - start)
-        inside = inside & (points @ inward.T >= np.einsum("tc,tc->t", start, inward))
-    return np.where(inside, plane, distances)
-
-
-def _to_segment(points: Floats, start: Floats, end: Floats) -> Floats:
-    """Return squared distances (n, t) between points (n, 3) and segments, each (t, 3)."""
-    along = end - start
-    squares = np.einsum("tc,tc->t", along, along)
-    from_start = points[:, None] - start
-    place = np.einsum("ntc,tc->nt", from_start, along) / np.where(squares > 0, squares, 1.0)
-    offset = from_start - np.clip(place, 0.0, 1.0)[..., None] * along
-    distances: Floats = np.einsum("ntc,ntc->nt", offset, offset)
-    return distances
+    rows, nearest = max(1, CHUNK // len(triangles)), []
+    for start in range(0, len(points), rows):
+        block = points[start : start + rows].repeat(len(triangles), axis=0)
+        offsets = block - closest_point(np.tile(triangles, (len(block) // len(triangles), 1, 1)), block)
+        nearest.append(np.einsum("nc,nc->n", offsets, offsets).reshape(-1, len(triangles)).argmin(axis=1))
+    return np.concatenate(nearest)

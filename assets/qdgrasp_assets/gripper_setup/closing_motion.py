@@ -57,10 +57,13 @@ class ClosingMotion:
         frames = self.body.robot.forward(self.posture(share))
         return np.array([finger.tip(frames) for finger in self.fingers]).reshape(-1, 3)
 
+    def closing_joints(self, finger: Finger) -> tuple[str, ...]:
+        """Return the joints of a finger that close, by themselves or after others, outward."""
+        return tuple(name for name in finger.joints if self.body.leader(name) in self.closed)
+
     def turning_axis(self, finger: Finger) -> Floats:
         """Return the unit axis (3,) about which a finger closes, outermost joint; zeros without one."""
-        followed = {name: each.leader for name, each in self.body.followers.items()}
-        names = [name for name in finger.joints if followed.get(name, name) in self.closed]
+        names = self.closing_joints(finger)
         joint = self.body.joint(names[-1]) if names else None
         if joint is None or joint.kind == "prismatic":
             return np.zeros(3)
@@ -173,7 +176,13 @@ class _Contacts:
         """Stop the fingers of two links within a step (low, high) of the way, before they meet."""
         low, high = step
         at = {name for name in moving if self.shares[name] > low and name not in self.told}
-        stopping = {name for link in (one, other) for name in self._leaders(link) if name in at}
+        stopping = {
+            name
+            for finger in self.closing.fingers
+            if {one, other} & set(finger.links)
+            for name in map(self.body.leader, finger.joints)
+            if name in at
+        }
         if not stopping:
             return
         for _ in range(HALVINGS):
@@ -183,18 +192,6 @@ class _Contacts:
         for name in sorted(stopping):
             self.shares[name] = low
             self.reasons[name] = f"closes to where '{one}' meets '{other}', at {100 * low:.0f} % of its range"
-
-    def _leaders(self, link: str) -> Iterator[str]:
-        """Yield the joints that close the finger of a link."""
-        for finger in self.closing.fingers:
-            if link in finger.links:
-                yield from closing_leaders(self.body, finger, self.closing.closed)
-
-
-def closing_leaders(body: HandModel, finger: Finger, closed: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the joints of `closed` that move a finger, also those that its joints follow."""
-    leaders = [body.followers[name].leader if name in body.followers else name for name in finger.joints]
-    return tuple(dict.fromkeys(name for name in leaders if name in closed))
 
 
 def _pairs(closing: ClosingMotion) -> Iterator[tuple[str, str, float]]:
@@ -220,7 +217,7 @@ def pinches(closing: ClosingMotion) -> tuple[dict[str, tuple[str, ...]], str]:
     fingers, thumb = closing.fingers, thumb_number(closing)
     if thumb is None:
         return {}, ""
-    joints = [_closing_joints(closing, finger) for finger in fingers]
+    joints = [closing.closing_joints(finger) for finger in fingers]
     others = [names for number, names in enumerate(joints) if number != thumb]
     synergies = {f"thumb_{number}": joints[thumb] + names for number, names in enumerate(others, 1)}
     synergies["all"] = tuple(name for names in joints for name in names)
@@ -235,15 +232,6 @@ def thumb_number(closing: ClosingMotion) -> int | None:
     if len(closing.fingers) < FEWEST_FINGERS or len(rows) != 2 or len(lonely) != 1:
         return None
     return next(iter(lonely[0]))
-
-
-def _closing_joints(closing: ClosingMotion, finger: Finger) -> tuple[str, ...]:
-    followers = closing.body.followers
-    return tuple(
-        name
-        for name in finger.joints
-        if name in closing.closed or (name in followers and followers[name].leader in closing.closed)
-    )
 
 
 CLOSING_TIME = 100 / 240  # Duration of the closing of the hand in an evaluation [s] (docs/protocols.md)

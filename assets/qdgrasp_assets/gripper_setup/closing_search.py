@@ -29,6 +29,7 @@ from qdgrasp_assets.grippers.hand_model import (
     HandModel,
     are_deep,
     find_fingers,
+    finger_length,
     finger_root,
     with_followers,
 )
@@ -82,7 +83,7 @@ class FingerChoice(NamedTuple):
 class ClosingSearch:
     """A hand whose joints are moved to see how near its fingertips come to each other."""
 
-    def __init__(self, body: HandModel, roots: tuple[str, ...] = (), still: tuple[str, ...] = ()) -> None:
+    def __init__(self, body: HandModel, roots: tuple[str, ...], still: tuple[str, ...]) -> None:
         """`roots` are the links that begin fingers, empty: found; joints in `still` do not close."""
         self.body = body
         self.leaders = [name for name in body.moving if name not in body.followers]
@@ -196,7 +197,8 @@ class ClosingSearch:
         others = [self._turn(each, choices, frames) for each in choices if each != number]
         cosines = [(turn * other).sum(axis=-1) for other in others] or [-np.ones(1)]
         against = 1 + np.mean(cosines, axis=0)
-        return np.asarray(np.mean(least, axis=0) / self._length(number) + TURN_WEIGHT * against)
+        length = max(finger_length(self.body, self.fingers[number]), 1e-3)
+        return np.asarray(np.mean(least, axis=0) / length + TURN_WEIGHT * against)
 
     def _turn(self, number: int, choices: Mapping[int, Choice], frames: Mapping[str, Floats]) -> Floats:
         """Return the axis (k, 3) about which a finger's outermost joint closes, open hand."""
@@ -359,12 +361,6 @@ class ClosingSearch:
             return np.atleast_1d(self.left(choices, places))
         return self.opposition(number, choices, places)
 
-    def _length(self, number: int) -> float:
-        """Return the distance of a fingertip from its finger's root, joints at zero [m]."""
-        finger = self.fingers[number]
-        tip = finger.tip(self.body.robot.forward({}))
-        return max(float(np.linalg.norm(tip - finger_root(self.body, finger))), 1e-3)
-
     def _is_clear(self, number: int, choices: dict[int, Choice], resting: Posture) -> bool:
         """Return whether an open finger is in neither palm nor other fingers.
 
@@ -406,14 +402,6 @@ class ClosingSearch:
             if are_deep(ours, [part for link in beside for part in placed[link]], CROSSED):
                 return False
         return True
-
-
-def find_closing(body: HandModel, roots: tuple[str, ...] = (), still: tuple[str, ...] = ()) -> ClosingMotion:
-    """Find the joints that close a hand.
-
-    `roots` are the links that begin fingers, empty: found; joints in `still` do not close.
-    """
-    return ClosingSearch(body, roots, still).find()
 
 
 def group_posture(body: HandModel, group: JointGroup, share: float) -> Posture:

@@ -14,19 +14,17 @@ from qdgrasp_assets.geometry.mesh import Floats
 from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.closing_motion import (
     ClosingMotion,
-    closing_leaders,
     joint_motor,
     pinches,
     stop_at_contact,
 )
-from qdgrasp_assets.gripper_setup.closing_search import find_closing
+from qdgrasp_assets.gripper_setup.closing_search import ClosingSearch
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, overlapping_pairs
 from qdgrasp_assets.grippers.gripper_file import FreeJointTable, GripperFile, JointTable, OriginalBase
 from qdgrasp_assets.grippers.hand_model import (
-    Finger,
     HandModel,
     contradicted_limits,
-    finger_root,
+    finger_length,
     fixed_limbs,
     guess_base,
     read_hand_model,
@@ -42,7 +40,6 @@ RATINGS_REASON = (
     "where the rated_effort and rated_velocity of the joints come from: replace them by those of the data "
     "sheet, and name it"
 )
-ROUNDING = 1e-6  # Resolution to which limits are written
 
 
 @dataclass(frozen=True)
@@ -168,8 +165,7 @@ def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
             raise UnknownName("moving joint", name, body.moving)
     for label, positions in (("open", overrides.opened), ("closed", overrides.closed)):
         for joint, position in ((body.joint(name), position) for name, position in positions.items()):
-            limited = joint.kind != "continuous" and joint.lower < joint.upper
-            if limited and not joint.lower - ROUNDING <= position <= joint.upper + ROUNDING:
+            if not joint.allows(position):
                 within = f"within the limits {joint.lower:g} to {joint.upper:g} of that joint"
                 raise ImpossibleValue(f"{label} {joint.name}", position, within)
 
@@ -193,7 +189,7 @@ def draft_closing(body: HandModel, overrides: DraftOverrides) -> ClosingMotion:
     `ImpossibleValue` for a joint beyond its limits.
     """
     _check_names(body, overrides)
-    found = find_closing(body, overrides.finger_roots, overrides.not_closing)
+    found = ClosingSearch(body, overrides.finger_roots, overrides.not_closing).find()
     fixed = {name: reason for name, reason in found.fixed_joints.items() if name not in overrides.closed}
     fixed |= {name: AS_TOLD for name in fixed if name in overrides.opened}
     fixed |= {name: TOLD_STILL for name in overrides.not_closing if name in fixed}
@@ -295,11 +291,11 @@ def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> It
 
 
 def _finger_warnings(closing: ClosingMotion) -> Iterator[str]:
-    lengths = [_length(closing, finger) for finger in closing.fingers]
+    lengths = [finger_length(closing.body, finger) for finger in closing.fingers]
     fixed = fixed_limbs(closing.body)
     for finger, length in zip(closing.fingers, lengths, strict=True):
         root = closing.body.joint(finger.joints[0]).child
-        if not closing_leaders(closing.body, finger, closing.closed) and finger.joints[0] not in fixed:
+        if not closing.closing_joints(finger) and finger.joints[0] not in fixed:
             yield (
                 f"nothing closes the finger that begins with '{root}': say where its joints close to with "
                 "--closed JOINT=POSITION; if it is no finger, name those that are, each with --finger LINK"
@@ -310,11 +306,6 @@ def _finger_warnings(closing: ClosingMotion) -> Iterator[str]:
                 f"{1000 * max(lengths):.0f} mm: if it is no finger, name the links that begin the others, "
                 "each with --finger LINK"
             )
-
-
-def _length(closing: ClosingMotion, finger: Finger) -> float:
-    tip = finger.tip(closing.body.robot.forward({}))
-    return float(np.linalg.norm(tip - finger_root(closing.body, finger)))
 
 
 LINE_WIDTH = 108

@@ -18,7 +18,7 @@ from qdgrasp_assets.gripper_setup.closing_motion import (
     interpolate_posture,
 )
 from qdgrasp_assets.grippers.gripper_file import NOTHING_CLOSES, GripperFile
-from qdgrasp_assets.grippers.hand_model import HandModel, depth, find_fingers, overlap_depth
+from qdgrasp_assets.grippers.hand_model import HandModel, depth, find_fingers
 from qdgrasp_assets.scene import unit_vector
 from qdgrasp_protocol.text import counted, join_numbers
 
@@ -85,8 +85,9 @@ def _mimic_faults(hand: HandPostures) -> Iterator[str]:
 
 
 def _open_overlaps(hand: HandPostures) -> Iterator[str]:
-    for one, other, deep in deep_pairs(hand, 0.0):
-        if not is_always_deep(hand, one, other):
+    for one, other in combinations(hand.body.parts, 2):
+        deep = 0.0 if hand.body.are_neighbours(one, other) else depth_at(hand, one, other, 0.0)
+        if deep > DEEP_OVERLAP and not is_always_deep(hand, one, other):
             yield (
                 f"the links '{one}' and '{other}' are {1000 * deep:.0f} mm in each other in the open "
                 "posture; correct the open positions of the joints between them (--open JOINT=POSITION), or "
@@ -103,18 +104,10 @@ def is_always_deep(hand: HandPostures, one: str, other: str) -> bool:
     return min(depth_at(hand, one, other, share) for share in (0.25, 0.5, 0.75, 1.0)) >= DEEP_OVERLAP
 
 
-def deep_pairs(hand: HandPostures, share: float) -> Iterator[tuple[str, str, float]]:
-    """Yield pairs of links that are not neighbours and are deep in each other."""
-    for one, other in combinations(hand.body.parts, 2):
-        deep = 0.0 if hand.body.are_neighbours(one, other) else depth_at(hand, one, other, share)
-        if deep > DEEP_OVERLAP:
-            yield one, other, deep
-
-
 def depth_at(hand: HandPostures, one: str, other: str, share: float) -> float:
     """Return the depth of two links in each other at a share of the way [m]."""
     placed = hand.body.parts_at(hand.posture(share), (one, other))
-    return overlap_depth(placed[one], placed[other])
+    return max(depth(ours, theirs) for ours, theirs in product(placed[one], placed[other]))
 
 
 def _closing_faults(hand: HandPostures) -> Iterator[str]:
@@ -287,12 +280,11 @@ def sampled_postures(hand: HandPostures) -> Iterator[dict[str, float]]:
     Joints that follow others are as far on their way as these.
     """
     random = np.random.default_rng(0)
-    opened, closed, followers = hand.closing.opened, hand.closing.closed, hand.body.followers
+    opened, closed = hand.closing.opened, hand.closing.closed
     for _ in range(SAMPLED_POSTURES):
         shares = {name: random.random() for name in opened}
-        leaders = {name: followers[name].leader if name in followers else name for name in opened}
         posture = {
-            name: place + shares[leaders[name]] * (closed.get(name, place) - place)
+            name: place + shares[hand.body.leader(name)] * (closed.get(name, place) - place)
             for name, place in opened.items()
         }
         genes = hand.file.free_joints.items()

@@ -239,8 +239,7 @@ def _joint_faults(joint: UrdfJoint, table: JointTable) -> Iterator[str]:
 
 
 def _limit_faults(joint: UrdfJoint, field: str, position: float) -> Iterator[str]:
-    limited = joint.lower < joint.upper and joint.kind != "continuous"
-    if limited and not joint.lower - 1e-6 <= position <= joint.upper + 1e-6:
+    if not joint.allows(position):
         yield f"{field} is {position:g}, outside the URDF's limits {joint.lower:g} to {joint.upper:g}"
 
 

@@ -123,12 +123,6 @@ def depth(one: Hull, other: Hull) -> float:
     return float(2 * found.x[3]) if found.x is not None else 0.0
 
 
-def overlap_depth(ours: Iterable[Hull], theirs: Iterable[Hull]) -> float:
-    """Return the greatest depth of any of our parts in any of theirs [m]."""
-    theirs = tuple(theirs)
-    return max((depth(one, other) for one in ours for other in theirs), default=0.0)
-
-
 def are_deep(ours: Iterable[Hull], theirs: Iterable[Hull], limit: float) -> bool:
     """Return whether any of our parts is at least `limit` deep in any of theirs [m]."""
     theirs = tuple(theirs)
@@ -172,6 +166,10 @@ class HandModel:
     def followers(self) -> dict[str, MimicJoint]:
         """The joints that follow others."""
         return followers(self.robot)
+
+    def leader(self, name: str) -> str:
+        """Return the joint that a joint follows; itself if it follows none."""
+        return self.followers[name].leader if name in self.followers else name
 
     @cached_property
     def rigid_piece(self) -> dict[str, str]:
@@ -384,10 +382,8 @@ def fixed_limbs(body: HandModel) -> tuple[str, ...]:
 
 def _joined(body: HandModel, limbs: list[Finger]) -> Finger:
     """Join limbs to one finger, with the tip of the one that reaches farthest."""
-    frames = body.robot.forward({})
-    longest = max(limbs, key=lambda limb: float(np.linalg.norm(limb.tip(frames) - finger_root(body, limb))))
     return replace(
-        longest,
+        max(limbs, key=lambda limb: finger_length(body, limb)),
         links=tuple(link for limb in limbs for link in limb.links),
         joints=tuple(joint for limb in limbs for joint in limb.joints),
     )
@@ -397,6 +393,11 @@ def finger_root(body: HandModel, finger: Finger) -> Floats:
     """Return the position of a finger's first joint (3,) [m], base link's frame."""
     joint = body.joint(finger.joints[0])
     return (body.robot.forward({})[joint.parent] @ joint.origin)[:3, 3]
+
+
+def finger_length(body: HandModel, finger: Finger) -> float:
+    """Return the distance of a fingertip from its finger's root, joints at zero [m]."""
+    return float(np.linalg.norm(finger.tip(body.robot.forward({})) - finger_root(body, finger)))
 
 
 def _limb(body: HandModel, name: str) -> Finger:

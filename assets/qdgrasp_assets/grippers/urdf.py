@@ -21,6 +21,7 @@ from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.text import first_few, quoted
 
+ROUNDING = 1e-6  # Resolution to which limits are written [rad or m]
 MOVING = frozenset({"revolute", "continuous", "prismatic"})
 
 
@@ -46,6 +47,11 @@ class UrdfJoint:
     def moves(self) -> bool:
         """True if it has a degree of freedom."""
         return self.kind in MOVING
+
+    def allows(self, position: float) -> bool:
+        """Return whether a position [rad or m] is within its limits, if it has any, to rounding."""
+        is_limited = self.lower < self.upper and self.kind != "continuous"
+        return not is_limited or self.lower - ROUNDING <= position <= self.upper + ROUNDING
 
     def motion(self, position: float | Floats) -> Floats:
         """Return the child's frame (..., 4, 4) in the joint's at positions (...) [rad or m]."""
