@@ -15,7 +15,6 @@ from qdgrasp_protocol.rows import Outcome
 from qdgrasp_worker.contact_filter import ContactFilter
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.evaluation_protocols import (
-    CLOSING_STEPS,
     TARGET_STEPS,
     EvaluationProtocol,
     Shake,
@@ -195,9 +194,8 @@ class ShakenEpisode(Episode[ShakenWorld]):
 
     def _close(self, pose: HandPose) -> bool:
         """Close the hand; return whether a finger touched the object before the last step."""
-        self.world.close_fingers(pose.synergy)
         touched = False
-        for _ in range(CLOSING_STEPS):
+        for _ in self.world.steps_of_closing(pose.synergy):
             touched = touched or bool(self._touching_fingers())
             self.world.step()
         return touched

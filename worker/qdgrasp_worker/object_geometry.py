@@ -31,23 +31,14 @@ def last_exits(
     The rays go from `origins` (n, 3) [m] in unit `directions` (n, 3); `corners` (t, 3, 3) [m] are the
     triangles of a closed mesh, wound outward. NaN, and any triangle, where there is no exit within `length`.
     """
-    rows = max(1, PAIRS_AT_ONCE // len(corners))
-    starts = range(0, len(origins), rows)
-    parts = [
-        _last_exits_of_some(origins[i : i + rows], directions[i : i + rows], corners, length) for i in starts
-    ]
-    distances, triangles = zip(*parts, strict=True)
-    return np.concatenate(distances), np.concatenate(triangles)
-
-
-def _last_exits_of_some(
-    origins: Floats, directions: Floats, corners: Floats, length: float
-) -> tuple[Floats, NDArray[np.intp]]:
-    found = _exit_distances(origins[:, None], directions[:, None], corners)
-    found[~((found > MIN_EXIT_DISTANCE) & (found <= length))] = -np.inf
-    triangles = found.argmax(axis=1)
-    distances = found[np.arange(len(found)), triangles]
-    return np.where(np.isfinite(distances), distances, np.nan), triangles
+    rows, distances, triangles = max(1, PAIRS_AT_ONCE // len(corners)), [], []
+    for i in range(0, len(origins), rows):
+        found = _exit_distances(origins[i : i + rows, None], directions[i : i + rows, None], corners)
+        found[~((found > MIN_EXIT_DISTANCE) & (found <= length))] = -np.inf
+        triangles.append(found.argmax(axis=1))
+        distances.append(found[np.arange(len(found)), triangles[-1]])
+    farthest = np.concatenate(distances)
+    return np.where(np.isfinite(farthest), farthest, np.nan), np.concatenate(triangles)
 
 
 def _exit_distances(origins: Floats, directions: Floats, corners: Floats) -> Floats:

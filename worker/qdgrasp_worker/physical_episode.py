@@ -251,15 +251,6 @@ class PhysicalWorld(GraspWorld):
         longest = max((drive.duration for drive in self._control.drives if drive.name in names), default=0.0)
         return self.physics.steps(longest + self.physics.slack)
 
-    def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        """The finger joints [rad or m] while they close on nothing: before, and after each step."""
-        self.reset(self._away, posture)
-        course = [self.finger_positions()]
-        for _ in self.steps_of_closing(synergy):
-            self.step()
-            course.append(self.finger_positions())
-        return course
-
     def steps_of_closing(self, synergy: int) -> Iterator[int]:
         """Begin to close, and count the steps until the fingers rest."""
         self.close_fingers(synergy)

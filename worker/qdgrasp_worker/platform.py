@@ -18,10 +18,8 @@ from qdgrasp_protocol.spec import (
     DEVICE_ENGINE,
     ENGINE_PACKAGES,
     Device,
-    EngineName,
     RunSpec,
     has_bullet,
-    run_spec,
 )
 from qdgrasp_worker.engines import ENGINES
 from qdgrasp_worker.evaluator import DEVICE_MODULE, Evaluator, make_evaluator
@@ -63,10 +61,8 @@ def device_platform(device: Device) -> dict[str, str]:
     """
     entries: dict[str, str] = import_module(DEVICE_MODULE).device_entries(device)
     trials, outcomes = np.zeros(PROBES, dtype=np.uint16), []
-    engines: tuple[EngineName, EngineName] = "mujoco", DEVICE_ENGINE
-    for engine in engines:
-        spec = RunSpec(gripper="panda", object="tennis_ball", protocol="physical", engine=engine)
-        evaluator = make_evaluator(build_scene(spec), device)
+    for engine in ("mujoco", DEVICE_ENGINE):
+        evaluator = make_evaluator(probe_scene("physical", engine), device)
         outcomes.append(evaluator.evaluate("approach", probes(), trials).rows["outcome"])
     if (same := int((outcomes[0] == outcomes[1]).sum())) < LEAST_AGREEING:
         raise QdgraspError(
@@ -77,10 +73,12 @@ def device_platform(device: Device) -> dict[str, str]:
 
 
 def probe_digest() -> str:
-    """sha256 over the result bytes of the probes, nominal and disturbed; some reach the shakes."""
-    genomes, trials = np.tile(probes(), (2, 1)), np.repeat(np.array([0, 1], dtype=np.uint16), PROBES)
-    with Evaluator(probe_scene()) as evaluator:
-        return result_digest(evaluator, genomes, trials)
+    """sha256 over the result bytes of the probes, nominal and disturbed; some reach the shakes.
+
+    Their rows are without columns of contacts.
+    """
+    scene = msgspec.structs.replace(probe_scene("robust"), contact_slots=0)
+    return result_digest(scene, np.tile(probes(), (2, 1)), np.repeat([0, 1], PROBES))
 
 
 def physical_probe_digest(engine: str) -> str:
@@ -88,22 +86,25 @@ def physical_probe_digest(engine: str) -> str:
 
     All are simulated: the filters take longer to build than the simulation.
     """
-    asked = {"gripper": "panda", "object": "tennis_ball", "protocol": "physical", "engine": engine}
     genomes = probes()[PHYSICAL_PROBES]
-    with Evaluator(build_scene(run_spec(asked, "probes")), shortcuts=False) as evaluator:
-        return result_digest(evaluator, genomes, np.zeros(len(genomes), dtype=np.uint16))
+    return result_digest(
+        probe_scene("physical", engine), genomes, np.zeros(len(genomes), dtype=int), shortcuts=False
+    )
 
 
-def result_digest(evaluator: Evaluator, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> str:
+def result_digest(
+    scene: Scene, genomes: NDArray[np.float32], trials: NDArray[np.int_], *, shortcuts: bool = True
+) -> str:
     """sha256 over the result bytes of genomes (n, 7) of the prior approach in their trials (n,)."""
-    rows = evaluator.evaluate("approach", genomes, trials).rows
+    with Evaluator(scene, shortcuts=shortcuts) as evaluator:
+        rows = evaluator.evaluate("approach", genomes, trials.astype(np.uint16)).rows
     return hashlib.sha256(b"".join(pack(rows, RESULT).values())).hexdigest()
 
 
-def probe_scene() -> Scene:
-    """The built-in Panda over the built-in tennis ball, without columns of contacts."""
-    scene = build_scene(RunSpec(gripper="panda", object="tennis_ball", protocol="robust"))
-    return msgspec.structs.replace(scene, contact_slots=0)
+def probe_scene(protocol: str, engine: str | None = None) -> Scene:
+    """The built-in Panda over the built-in tennis ball."""
+    values = {"gripper": "panda", "object": "tennis_ball", "protocol": protocol, "engine": engine}
+    return build_scene(msgspec.convert(values, RunSpec))
 
 
 def probes() -> NDArray[np.float32]:

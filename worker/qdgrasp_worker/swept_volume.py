@@ -267,11 +267,6 @@ def points_in_hand_frames(
 ) -> tuple[Singles, Singles, Singles]:
     """x, y, z (n, p) of points (p, 3), CoM frame, in the frames of the hands at `places` (n,)."""
     rotations = np.moveaxis(rotation_matrices(grasps.quaternions[places]), 1, 2)
-    return transform_points(points[None], rotations, -rotate_vectors(rotations, grasps.positions[places]))
-
-
-def rotate_vectors(rotations: Singles, vectors: Singles) -> Singles:
-    """The vectors (n, 3) turned by rotations (n, 3, 3), bits independent of n."""
-    x, y, z = (rotations[:, :, axis] * vectors[:, axis, None] for axis in range(3))
-    total: Singles = x + y + z
-    return total
+    positions = grasps.positions[places]
+    turned = transform_points(positions[:, None], rotations, np.zeros_like(positions))
+    return transform_points(points[None], rotations, -np.concatenate(turned, axis=1))

@@ -6,7 +6,7 @@
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -145,8 +145,17 @@ class GraspWorld(ABC):
         """Begin to close a synergy's fingers; a ValueError for one that the hand does not have."""
 
     @abstractmethod
+    def steps_of_closing(self, synergy: int) -> Iterator[int]:
+        """Begin to close, and count the steps until the hand is closed."""
+
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
         """The finger joints [rad or m] while they close on nothing: before, and after each step."""
+        self.reset(self._away, posture)
+        course = [self.finger_positions()]
+        for _ in self.steps_of_closing(synergy):
+            self.step()
+            course.append(self.finger_positions())
+        return course
 
     @property
     @abstractmethod
@@ -229,15 +238,10 @@ class ShakenWorld(GraspWorld):
         `gains` are Bullet's kp and kd: the shares of the errors of place and velocity that a step corrects.
         """
 
-    def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        """The finger joints [rad or m] while they close on nothing: before, and after each step."""
-        self.reset(self._away, posture)
+    def steps_of_closing(self, synergy: int) -> Iterator[int]:
+        """Begin to close, and count the steps of the protocols."""
         self.close_fingers(synergy)
-        course = [self.finger_positions()]
-        for _ in range(CLOSING_STEPS):
-            self.step()
-            course.append(self.finger_positions())
-        return course
+        yield from range(CLOSING_STEPS)
 
 
 def free_postures(gripper: SceneGripper) -> list[list[float]]:

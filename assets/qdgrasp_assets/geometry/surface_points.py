@@ -83,6 +83,7 @@ def nearest_triangle(points: Floats, triangles: Floats) -> NDArray[np.int64]:
     rows, nearest = max(1, CHUNK // len(triangles)), []
     for start in range(0, len(points), rows):
         block = points[start : start + rows].repeat(len(triangles), axis=0)
-        offsets = block - closest_point(np.tile(triangles, (len(block) // len(triangles), 1, 1)), block)
+        tiled = np.tile(triangles, (len(block) // len(triangles), 1, 1))
+        offsets = block - closest_point(tiled, block)  # type: ignore[no-untyped-call]  # of trimesh
         nearest.append(np.einsum("nc,nc->n", offsets, offsets).reshape(-1, len(triangles)).argmin(axis=1))
     return np.concatenate(nearest)

@@ -147,11 +147,11 @@ def part_corners(robot: Urdf, collision: ET.Element, files: Mapping[str, bytes])
     if geometry[0].tag not in FORMS:
         return
     frame = parse_origin(robot.path, collision.find("origin"))
-    for corners in _geometry_corners(geometry[0], files):
+    for corners in geometry_corners(geometry[0], files):
         yield corners @ frame[:3, :3].T + frame[:3, 3]
 
 
-def _geometry_corners(element: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
+def geometry_corners(element: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
     """Yield the corners (v, 3) [m] of each part of a geometry of URDF, in its own frame."""
     name = element.get("filename", "")
     kind = PurePosixPath(name).suffix.lower()

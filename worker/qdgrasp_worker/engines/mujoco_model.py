@@ -16,11 +16,15 @@ from pathlib import PurePosixPath
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
-from qdgrasp_assets.geometry.mesh import stl_triangles
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.grippers.collision_shapes import attribute_numbers, check_convex, obj_group_corners
+from qdgrasp_assets.geometry.voxels import convex_hulls
+from qdgrasp_assets.grippers.collision_shapes import (
+    attribute_numbers,
+    check_convex,
+    geometry_corners,
+    obj_group_corners,
+)
 from qdgrasp_assets.grippers.hand_model import followers
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, scene_robot
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper
@@ -154,34 +158,20 @@ def link_shapes(robot: Urdf, link: ET.Element, gripper: SceneGripper) -> Iterato
         element, frame = geometry[0], parse_origin(robot.path, collision.find("origin"))
         kind = PurePosixPath(element.get("filename", "")).suffix.lower() or element.tag
         if element.tag == "mesh":
-            yield mesh_shape(kind, frame, mesh_corners(kind, element, gripper))
+            if not (hulls := list(geometry_corners(element, gripper.meshes))):
+                name = element.get("filename")
+                raise AssetError(f"The mesh '{name}' of '{gripper.name}' has no triangles, or is a text STL.")
+            yield mesh_shape(kind, frame, hulls)
         else:
             half = primitive_half(element)
             yield LinkShape(kind, frame, -half, half)
 
 
-def mesh_corners(kind: str, element: ET.Element, gripper: SceneGripper) -> list[Floats]:
-    """The corners (v, 3) [m] of each hull of a mesh; an AssetError if it cannot be read."""
-    content, scale = gripper.meshes[element.get("filename", "")], attribute_numbers(element, "scale", "1 1 1")
-    if kind == ".obj":
-        return [corners * scale for corners in obj_group_corners(content.decode("utf-8", "replace"))]
-    if (triangles := stl_triangles(content)) is None:
-        raise AssetError(f"The mesh '{element.get('filename')}' of '{gripper.name}' is no binary STL file.")
-    return [np.unique(triangles.reshape(-1, 3), axis=0) * scale]
-
-
 def mesh_shape(kind: str, frame: Floats, hulls: Sequence[Floats]) -> LinkShape:
     """The shape of hulls (v, 3) [m] each; flat ones count for its box only."""
     corners = np.concatenate(hulls)
-    return LinkShape(kind, frame, corners.min(axis=0), corners.max(axis=0), tuple(filter(has_volume, hulls)))
-
-
-def has_volume(corners: Floats) -> bool:
-    """Return whether corners (v, 3) are not all in a plane."""
-    try:
-        return bool(ConvexHull(corners).volume > 0)
-    except (QhullError, ValueError):
-        return False
+    solid = tuple(each for each in hulls if convex_hulls([each]))
+    return LinkShape(kind, frame, corners.min(axis=0), corners.max(axis=0), solid)
 
 
 def primitive_half(element: ET.Element) -> Floats:
