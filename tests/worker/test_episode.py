@@ -45,8 +45,9 @@ class WrittenWorld:
     def set_fingers(self, posture):
         self.told.append(("fingers", list(posture)))
 
-    def close_fingers(self, synergy):
+    def steps_of_closing(self, synergy):
         self.told.append(("close", synergy))
+        yield from range(CLOSING_STEPS)
 
     def shake_to(self, target, shake):
         self.told.append((shake.joint, round(target, 3), self.steps))
