@@ -50,13 +50,8 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress) -> Scene:
     file, and `AssetError` where one of its files cannot be used.
     """
     gripper_path(spec.gripper)  # an unknown hand is reported first
-    if not is_in_catalog(spec.object):  # before the hand is read, which takes longer
-        check_object(spec.object)
-    hand = carried_hand(spec)
-    if is_in_catalog(spec.object):
-        target = find_object(spec)
-        return _scene(spec, hand, target, shape_of(target, spec.protocol, spec.surface_seed))
-    return _scene(spec, hand, file_facts(spec), file_shape(spec, tell))
+    check_object(spec.object)  # before the hand is read, which takes longer
+    return _scene(spec, carried_hand(spec), *_facts_and_shape(spec, tell))
 
 
 def assemble_scene(spec: RunSpec, shape: ObjectShape) -> Scene:
@@ -106,10 +101,15 @@ def _scene(spec: RunSpec, hand: SceneGripper, facts: ObjectFacts, shape: ObjectS
 
 def object_shape(spec: RunSpec) -> ObjectShape:
     """Return the shape of a spec's object, for any gripper; errors of `build_scene`."""
-    if is_in_catalog(spec.object):
-        return shape_of(find_object(spec), spec.protocol, spec.surface_seed)
     check_object(spec.object)
-    return file_shape(spec)
+    return _facts_and_shape(spec, ignore_progress)[1]
+
+
+def _facts_and_shape(spec: RunSpec, tell: Tell) -> tuple[ObjectFacts, ObjectShape]:
+    if is_in_catalog(spec.object):
+        target = find_object(spec)
+        return target, shape_of(target, spec.protocol, spec.surface_seed)
+    return file_facts(spec), file_shape(spec, tell)
 
 
 def find_gripper(name: str) -> Gripper:

@@ -9,8 +9,9 @@ import tarfile
 import tempfile
 import tomllib
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -18,7 +19,7 @@ import numpy as np
 from msgspec import Struct, convert
 
 from qdgrasp_assets.asset_paths import data_folder, on_asset_path, searched, write_whole
-from qdgrasp_assets.geometry.collision_parts import collision_parts
+from qdgrasp_assets.geometry.collision_parts import Tell, collision_parts
 from qdgrasp_assets.geometry.mesh import Mesh, read_parts
 from qdgrasp_assets.geometry.mesh_io import read_mesh
 from qdgrasp_assets.geometry.mesh_repair import drop_degenerate, surface_faults
@@ -56,11 +57,6 @@ SCANS: dict[str, Scan] = msgspec.convert(
 def fetched_mesh(name: str) -> Path:
     """Return the path of the unprocessed mesh file of the fetched scan `name` of `SCAN_NAMES`."""
     return data_folder() / "ycb" / name / "mesh.ply"
-
-
-def read_fetched(name: str) -> Mesh:
-    """Read the mesh of a fetched scan, corrected by `correct_mesh`; or raise `AssetError`."""
-    return correct_mesh(read_mesh(fetched_mesh(name)), SCANS[name])
 
 
 def correct_mesh(mesh: Mesh, scan: Scan) -> Mesh:
@@ -140,7 +136,7 @@ def read_scan(name: str, protocol: str) -> ObjectModel:
     else:
         same = STAND_INS[name.removeprefix(PREFIX)]
         source, mass, com = "fetched", same.mass, same.com
-        mesh = read_fetched(name)
+        mesh = correct_mesh(read_mesh(fetched_mesh(name)), SCANS[name])
         collision_source, parts = collision_parts(mesh, name)
     return ObjectModel(
         name=name,
@@ -194,31 +190,30 @@ def read_member(archive: Path, member: str) -> bytes:
 
 SILENCE_LIMIT = 30.0  # s without a byte
 
-Progress = Callable[[int, int | None], None]
-"""Called with the bytes received and the bytes expected, None if the server does not say."""
 
+@dataclass
+class _DownloadProgress:
+    """Tells how much of a file has come, as a progress bar of pooch."""
 
-class _ProgressBar:
-    """A progress bar as pooch calls it."""
-
-    def __init__(self, progress: Progress) -> None:
-        self._progress, self._here = progress, 0
-        self.total = 0  # Bytes expected, which pooch sets
+    name: str
+    tell: Tell
+    total: int = 0  # Bytes expected, which pooch sets; 0 where the server does not say
+    here: int = 0
 
     def update(self, count: int) -> None:
         """Count bytes that came."""
-        self._here += count
-        self._progress(self._here, self.total or None)
+        self.here += count
+        self.tell(f"{self.name}: {self.here >> 20} MiB" + (f" of {self.total >> 20}" if self.total else ""))
 
     def reset(self) -> None:
         """Begin anew."""
-        self._here = 0
+        self.here = 0
 
     def close(self) -> None:
         """Leave the bar as it is."""
 
 
-def download(url: str, file: Path, progress: Progress = lambda _here, _all: None) -> None:
+def download(url: str, file: Path, progress: _DownloadProgress) -> None:
     """Download `url`, http or https, into `file`, whole or not at all.
 
     Raises `AssetError` if there is no such file or the server cannot be reached, and `OSError` if the file
@@ -230,7 +225,7 @@ def download(url: str, file: Path, progress: Progress = lambda _here, _all: None
     import requests
 
     pooch.get_logger().setLevel("WARNING")
-    loader = pooch.HTTPDownloader(progressbar=_ProgressBar(progress), timeout=SILENCE_LIMIT)
+    loader = pooch.HTTPDownloader(progressbar=progress, timeout=SILENCE_LIMIT)
     try:
         pooch.retrieve(url, known_hash=None, fname=file.name, path=file.parent, downloader=loader)
     except requests.RequestException as error:
@@ -252,10 +247,11 @@ class WrongScan(AssetError):
     """Fetched data that is not the expected scan; it was deleted."""
 
 
-def fetch_scan(name: str, home: str, progress: Progress) -> Path:
+def fetch_scan(name: str, home: str, tell: Tell) -> Path:
     """Fetch one of `SCAN_NAMES` into the data folder; it is checked first, and written whole.
 
-    `home` is the address that the paths of the archives are below. Returns the mesh file. Raises
+    `home` is the address that the paths of the archives are below, `tell` is called with what has come.
+    Returns the mesh file. Raises
     `UnknownName` if there is no such scan, `WrongScan` if it is not what it must be, and `AssetError` if it
     cannot be fetched or written.
     """
@@ -264,7 +260,7 @@ def fetch_scan(name: str, home: str, progress: Progress) -> Path:
     scan = SCANS[name]
     archive = data_folder() / "downloads" / Path(scan.archive).name
     try:
-        download(f"{home.rstrip('/')}/{scan.archive}", archive, progress)
+        download(f"{home.rstrip('/')}/{scan.archive}", archive, _DownloadProgress(name, tell))
         try:
             return _accept(name, scan, archive)
         except AssetError as error:

@@ -60,7 +60,7 @@ def site(monkeypatch, tmp_path):
 
 
 def bring(site, name: str = NAME) -> Path:
-    return ycb.fetch_scan(name, site.address, lambda _here, _total: None)
+    return ycb.fetch_scan(name, site.address, lambda _sentence: None)
 
 
 def assert_refused(site, sentence: str) -> None:

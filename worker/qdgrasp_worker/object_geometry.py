@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from qdgrasp_assets.geometry.mesh import parse_parts
 from qdgrasp_assets.geometry.rotation import Floats, dot, unit
 from qdgrasp_assets.geometry.voxels import VoxelGrid, box_around, convex_hulls, solid_voxels
-from qdgrasp_assets.grippers.collision_shapes import obj_group_corners
 from qdgrasp_assets.scene import Scene
 
 MIN_EXIT_DISTANCE = 1e-4  # m: an exit nearer than this is the surface that the ray starts on
@@ -130,7 +130,7 @@ class ObjectSolid:
     """The convex parts of a scene's object, CoM frame."""
 
     def __init__(self, scene: Scene) -> None:
-        parts = list(obj_group_corners(scene.object.collision.decode()))
+        parts = [part.vertices for part in parse_parts(scene.object.collision.decode())]
         self.hulls = convex_hulls(parts)
         self.is_whole = 0 < len(self.hulls) == len(parts)
         """True if all of the object is in them; flat parts are left out."""

@@ -249,12 +249,7 @@ def _with_turned(mesh: Mesh, is_turned: NDArray[np.bool_], why: str) -> tuple[Me
 def inverted_bodies(mesh: Mesh) -> NDArray[np.bool_]:
     """Return a mask (b,) of bodies of negative volume that are not a hollow within another one."""
     wrong: NDArray[np.bool_] = body_volumes(mesh) < 0
-    labels = bodies(mesh)
-    for body in np.flatnonzero(wrong).tolist() if len(wrong) > 1 else ():
-        others = Mesh(mesh.vertices, mesh.faces[labels != body])
-        point = mesh.corners[np.flatnonzero(labels == body)[0]].mean(axis=0)
-        wrong[body] = inside_count(others, point[None], SKEW_DIRECTION[None])[0] <= 0
-    return wrong
+    return wrong & (_holders(mesh, bodies(mesh)) == np.arange(len(wrong))) if len(wrong) > 1 else wrong
 
 
 def fill_small_holes(mesh: Mesh) -> tuple[Mesh, str]:

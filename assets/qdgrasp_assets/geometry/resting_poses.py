@@ -10,8 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from qdgrasp_assets.geometry.mesh import join, parse_parts
 from qdgrasp_assets.geometry.rotation import Floats, dot
-from qdgrasp_assets.grippers.collision_shapes import obj_group_corners
 from qdgrasp_assets.scene import RestingPose, Vector
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue
 from qdgrasp_protocol.spec import ANY_RESTING_POSE
@@ -35,7 +35,7 @@ def resting_poses(collision: bytes) -> tuple[RestingPose, ...]:
     """
     from scipy.spatial import ConvexHull, QhullError  # slow to import, and few commands need it
 
-    corners = np.concatenate(list(obj_group_corners(collision.decode())))
+    corners = join(parse_parts(collision.decode())).vertices
     try:
         hull = ConvexHull(corners)
     except (QhullError, ValueError):

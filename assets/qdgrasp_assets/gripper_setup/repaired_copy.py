@@ -21,21 +21,30 @@ from qdgrasp_assets.geometry.collision_parts import (
     decompose,
     simplify_part,
 )
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, hull, parts_to_obj, stl_triangles, unreadable_as
+from qdgrasp_assets.geometry.mesh import (
+    Floats,
+    Mesh,
+    hull,
+    parse_parts,
+    parts_to_obj,
+    stl_triangles,
+    unreadable_as,
+)
 from qdgrasp_assets.geometry.mesh_repair import simplify_mesh
 from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.draft import CENTRE, DraftOverrides, draft_axis, draft_closing
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
-from qdgrasp_assets.grippers.collision_shapes import CONCAVE, attribute_numbers, obj_group_corners, triangles
+from qdgrasp_assets.grippers.collision_shapes import CONCAVE, attribute_numbers, collision_elements, triangles
 from qdgrasp_assets.grippers.hand_model import (
     collision_corners,
-    collision_elements,
     contradicted_limits,
     read_hand_model,
 )
 from qdgrasp_assets.grippers.urdf import (
     Urdf,
     add_file,
+    add_inertial,
+    add_joint,
     drop_visuals,
     edges,
     listed,
@@ -159,7 +168,7 @@ class MeshSplitter:
         if PurePosixPath(name).suffix.lower() == ".obj":
             text = self._hand.mesh(name).decode("utf-8", "replace")
             shapes = [
-                corners * attribute_numbers(element, "scale", "1 1 1") for corners in obj_group_corners(text)
+                part.vertices * attribute_numbers(element, "scale", "1 1 1") for part in parse_parts(text)
             ]
             factor = np.ptp(mesh.vertices) / max(np.ptp(np.concatenate(shapes)), 1e-12)
             shapes = [corners * factor for corners in shapes]
@@ -186,9 +195,7 @@ def weigh(hand: Urdf) -> Iterator[str]:
             link.remove(old)
         shapes = link.findall("collision")
         parts = tuple(part for shape in shapes for part in collision_corners(hand, name, shape))
-        mass, inertial = _inertial(parts)
-        link.append(inertial)
-        given[name] = f"{name} {float(mass):.3g}"
+        given[name] = f"{name} {_add_mass(link, parts):.3g}"
     if given:
         yield (
             f"{listed('link', list(given))} given a mass, by the size of the shapes at {DENSITY:g} kg/m3 "
@@ -196,25 +203,16 @@ def weigh(hand: Urdf) -> Iterator[str]:
         )
 
 
-def _inertial(parts: tuple[Floats, ...]) -> tuple[str, ET.Element]:
-    """Return mass [kg] and `<inertial>` of convex parts (v, 3) [m]: the inertia of their box."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    volume = 0.0
-    for part in parts:
-        with suppress(QhullError, ValueError):  # a flat one
-            volume += float(ConvexHull(part).volume)
-    mass = max(DENSITY * volume, FRAME_MASS)
+def _add_mass(link: ET.Element, parts: tuple[Floats, ...]) -> float:
+    """Add the `<inertial>` of convex parts (v, 3) [m]: the inertia of their box. Return its mass [kg]."""
+    mass = max(DENSITY * sum(hull(part).volume for part in parts if is_solid(part)), FRAME_MASS)
     corners = np.concatenate([np.zeros((0, 3)), *parts])
     low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else (np.zeros(3), np.zeros(3))
     sides = np.maximum(high - low, LEAST_SIDE) ** 2
     moments = mass / 12 * (sides.sum() - sides)
-    inertial = ET.Element("inertial")
-    ET.SubElement(inertial, "origin", xyz=" ".join(f"{value:.6g}" for value in (low + high) / 2), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=f"{mass:.6g}")
-    names = {name: f"{moment:.6g}" for name, moment in zip(("ixx", "iyy", "izz"), moments, strict=True)}
-    ET.SubElement(inertial, "inertia", {**names, "ixy": "0", "ixz": "0", "iyz": "0"})
-    return f"{mass:.6g}", inertial
+    middle = " ".join(f"{value:.6g}" for value in (low + high) / 2)
+    add_inertial(link, f"{mass:.6g}", [f"{moment:.6g}" for moment in moments], middle)
+    return mass
 
 
 RepairedHand = tuple[ET.Element, dict[str, bytes], tuple[str, ...]]
@@ -323,14 +321,9 @@ def centre_base(robot: Urdf, base: str, overrides: DraftOverrides) -> RepairedCo
     name, words = base + CENTRE, " ".join(f"{value:g}" for value in place)
     element = copy.deepcopy(body.robot.element)
     link = ET.SubElement(element, "link", name=name)  # with a mass: without one Bullet would hold it still
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "mass", value=f"{FRAME_MASS:g}")
-    moments = {"ixx": "1e-7", "iyy": "1e-7", "izz": "1e-7"}
-    ET.SubElement(inertial, "inertia", {**moments, "ixy": "0", "ixz": "0", "iyz": "0"})
-    joint = ET.SubElement(element, "joint", name=f"{name}_joint", type="fixed")
-    ET.SubElement(joint, "parent", link=name)
-    ET.SubElement(joint, "child", link=base)
-    ET.SubElement(joint, "origin", xyz=" ".join(f"{0.0 - value:g}" for value in place), rpy="0 0 0")
+    add_inertial(link, f"{FRAME_MASS:g}", ["1e-7"] * 3)
+    back = " ".join(f"{0.0 - value:g}" for value in place)
+    add_joint(element, f"{name}_joint", "fixed", (name, base), back)
     change = (
         f"the base link is '{name}', a new one at ({words}) m in the frame of '{base}', "
         f"on the line on which the fingers close: poses are those of '{name}', and exports say where "

@@ -14,7 +14,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from qdgrasp_assets.geometry.mesh import Floats, Mesh, geodesic, read_obj, stl_triangles
+from qdgrasp_assets.geometry.mesh import Floats, Mesh, geodesic, join, parse_parts, stl_triangles
 from qdgrasp_assets.grippers.urdf import Urdf, parse_origin, scene_robot
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import AssetError
@@ -29,11 +29,17 @@ class CollisionShape(Mesh):
     link: str
 
 
-def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[CollisionShape]:
-    """Yield links' collision shapes from `files` by name; `AssetError` if a mesh is empty."""
+def collision_elements(robot: Urdf) -> Iterator[tuple[str, ET.Element]]:
+    """Yield each collision shape with its link's name."""
     for link in robot.element.findall("link"):
         for collision in link.findall("collision"):
-            yield from collision_shape(robot, link.get("name", ""), collision, files)
+            yield link.get("name", ""), collision
+
+
+def shapes(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[CollisionShape]:
+    """Yield links' collision shapes from `files` by name; `AssetError` if a mesh is empty."""
+    for link, collision in collision_elements(robot):
+        yield from collision_shape(robot, link, collision, files)
 
 
 def collision_shape(
@@ -71,8 +77,8 @@ def triangles(element: ET.Element, files: Mapping[str, bytes]) -> Mesh:
     if element.tag == "mesh":
         corners = stl_triangles(files[name]) if kind == ".stl" else None
         if kind == ".obj":
-            read = read_obj(files[name].decode("utf-8", "replace"))
-            corners = np.concatenate([np.zeros((0, 3, 3)), *(read.vertices[group] for group in read.groups)])
+            parts = parse_parts(files[name].decode("utf-8", "replace"))
+            corners = join(parts).corners if parts else np.zeros((0, 3, 3))
         scale = attribute_numbers(element, "scale", "1 1 1")
         if corners is not None:
             vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
@@ -109,16 +115,14 @@ def link_convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[tuple
 
     Each part is the hull of its corners; `files` holds the robot's meshes by their names in it.
     """
-    for link in robot.element.findall("link"):
-        for collision in link.findall("collision"):
-            for corners in part_corners(robot, collision, files):
-                yield link.get("name", ""), corners
+    for link, collision in collision_elements(robot):
+        for corners in part_corners(robot, collision, files):
+            yield link, corners
 
 
 def is_all_convex(robot: Urdf, files: Mapping[str, bytes]) -> bool:
     """Return whether every collision shape of a robot has convex parts."""
-    shapes = robot.element.iterfind("link/collision")
-    return all(any(True for _ in part_corners(robot, shape, files)) for shape in shapes)
+    return all(any(True for _ in part_corners(robot, shape, files)) for _, shape in collision_elements(robot))
 
 
 CONVEX_KINDS = ("box", "sphere", "cylinder", ".stl", ".obj")
@@ -127,16 +131,15 @@ CONVEX_KINDS = ("box", "sphere", "cylinder", ".stl", ".obj")
 
 def check_convex(gripper: SceneGripper) -> None:
     """Raise an AssetError for a shape that another engine than Bullet does not take."""
-    for link in scene_robot(gripper).element.iterfind("link"):
-        for collision in link.iterfind("collision"):
-            for shape in collision.iterfind("geometry/*"):
-                kind = PurePosixPath(shape.get("filename", "")).suffix.lower() or shape.tag
-                if kind not in CONVEX_KINDS or collision.get(CONCAVE) is not None:
-                    raise AssetError(
-                        "Of the engines Bullet alone takes other shapes than boxes, spheres, cylinders and "
-                        f"convex meshes (.obj, .stl), and link '{link.get('name')}' of '{gripper.name}' has "
-                        "one; simulate it in bullet."
-                    )
+    for link, collision in collision_elements(scene_robot(gripper)):
+        for shape in collision.iterfind("geometry/*"):
+            kind = PurePosixPath(shape.get("filename", "")).suffix.lower() or shape.tag
+            if kind not in CONVEX_KINDS or collision.get(CONCAVE) is not None:
+                raise AssetError(
+                    "Of the engines Bullet alone takes other shapes than boxes, spheres, cylinders and "
+                    f"convex meshes (.obj, .stl), and link '{link}' of '{gripper.name}' has one; simulate "
+                    "it in bullet."
+                )
 
 
 def part_corners(robot: Urdf, collision: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
@@ -166,14 +169,7 @@ def geometry_corners(element: ET.Element, files: Mapping[str, bytes]) -> Iterato
     elif element.tag == "sphere":
         yield geodesic(float(element.get("radius", 0)), 3).vertices
     elif kind == ".obj":
-        for corners in obj_group_corners(files[name].decode("utf-8", "replace")):
-            yield corners * attribute_numbers(element, "scale", "1 1 1")
+        for part in parse_parts(files[name].decode("utf-8", "replace")):
+            yield part.vertices * attribute_numbers(element, "scale", "1 1 1")
     elif kind == ".stl" and (read := stl_triangles(files[name])) is not None:
         yield np.unique(read.reshape(-1, 3), axis=0) * attribute_numbers(element, "scale", "1 1 1")
-
-
-def obj_group_corners(obj: str) -> Iterator[Floats]:
-    """Yield the corners (v, 3) of each group of an OBJ file that has triangles."""
-    read = read_obj(obj)
-    for group in read.groups:
-        yield read.vertices[np.unique(group)]

@@ -8,6 +8,7 @@ Panda's tabled motion at any weight (docs/grippers.md). `physical` shakes nothin
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from qdgrasp_assets.grippers.gripper_file import (
     read_gripper_file,
     urdf_path,
 )
-from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_urdf
+from qdgrasp_assets.grippers.urdf import Urdf, add_inertial, add_joint, parse_robot, read_urdf
 from qdgrasp_assets.grippers.urdf_checks import hand_faults
 from qdgrasp_assets.scene import CarrierJoint, FreeJoint, Jaw, Joint, SceneGripper, unit_vector
 from qdgrasp_protocol.errors import AssetError
@@ -141,16 +142,10 @@ def _compose(hand: Urdf, base: str, axes: tuple[CarrierAxis, ...], link_mass: fl
         )
     robot = ET.Element("robot", name=hand.element.get("name", "hand"))
     for name in links:
-        inertial = ET.SubElement(ET.SubElement(robot, "link", name=name), "inertial")
-        ET.SubElement(inertial, "origin", xyz="0 0 0", rpy="0 0 0")
-        ET.SubElement(inertial, "mass", value=f"{link_mass:g}")
-        ET.SubElement(inertial, "inertia", ixx="1", ixy="0", ixz="0", iyy="1", iyz="0", izz="1")
+        add_inertial(ET.SubElement(robot, "link", name=name), f"{link_mass:g}", "111")
     velocity = f"{MAX_VELOCITY:g}"
-    for axis, parent, child in zip(axes, links, [*links[1:], base], strict=True):
-        joint = ET.SubElement(robot, "joint", name=axis.name, type=axis.kind)
-        ET.SubElement(joint, "parent", link=parent)
-        ET.SubElement(joint, "child", link=child)
-        ET.SubElement(joint, "origin", xyz="0 0 0", rpy="0 0 0")
+    for axis, ends in zip(axes, pairwise([*links, base]), strict=True):
+        joint = add_joint(robot, axis.name, axis.kind, ends)
         if axis.kind != "fixed":
             ET.SubElement(joint, "axis", xyz=axis.axis)
             ET.SubElement(joint, "limit", effort="1000", lower="-100", upper="100", velocity=velocity)

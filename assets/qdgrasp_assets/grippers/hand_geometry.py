@@ -4,9 +4,8 @@ All of it depends on the hand alone, and the evaluation's filters, the pictures 
 from it: convex parts are what the simulator makes of collision shapes, shapes are the triangles drawn.
 """
 
-import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import msgspec
 import numpy as np
@@ -27,18 +26,16 @@ from qdgrasp_assets.scene import SceneGripper
 Closing = Callable[[Sequence[float], int], list[list[float]]]
 """Courses of a closing hand's joints, by its initial posture and its synergy."""
 HANDS_KEPT = 8  # Hands whose geometry a process keeps, the last ones used
-_hands: dict[bytes, "HandGeometry"] = {}
-"""Geometries by the digest of their hand's content, the last one used at the end."""
 
 
 def hand_geometry(gripper: SceneGripper) -> "HandGeometry":
     """Return the geometry of a scene's hand; scenes with the same hand share one object."""
-    key = hashlib.sha256(msgspec.msgpack.encode(gripper, order="deterministic")).digest()
-    found = _hands.pop(key, None) or HandGeometry(gripper)
-    _hands[key] = found
-    if len(_hands) > HANDS_KEPT:
-        del _hands[next(iter(_hands))]
-    return found
+    return _unpacked_geometry(msgspec.msgpack.encode(gripper, order="deterministic"))
+
+
+@lru_cache(HANDS_KEPT)
+def _unpacked_geometry(packed: bytes) -> "HandGeometry":
+    return HandGeometry(msgspec.msgpack.decode(packed, type=SceneGripper))
 
 
 class HandGeometry:

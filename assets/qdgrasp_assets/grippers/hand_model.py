@@ -18,7 +18,7 @@ import numpy as np
 
 from qdgrasp_assets.geometry.mesh import Floats, unreadable_as
 from qdgrasp_assets.geometry.voxels import Hull, convex_hulls
-from qdgrasp_assets.grippers.collision_shapes import collision_shape, part_corners
+from qdgrasp_assets.grippers.collision_shapes import collision_elements, collision_shape, part_corners
 from qdgrasp_assets.grippers.hand_geometry import neighbours, rigid_pieces
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 
@@ -224,13 +224,6 @@ def read_hand_model(robot: Urdf, base: str) -> HandModel:
         if hulls := convex_hulls(collision_corners(hand, link, collision)):
             parts[link] = (*parts.get(link, ()), *hulls)
     return HandModel(hand, parts)
-
-
-def collision_elements(robot: Urdf) -> Iterator[tuple[str, ET.Element]]:
-    """Yield each collision shape with its link's name."""
-    for link in robot.element.findall("link"):
-        for collision in link.findall("collision"):
-            yield link.get("name", ""), collision
 
 
 def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Floats, ...]:

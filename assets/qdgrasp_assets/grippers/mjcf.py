@@ -18,7 +18,16 @@ import numpy as np
 from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, geodesic, hull, parts_to_obj
 from qdgrasp_assets.grippers.mjcf_couplings import Mechanism, command_ranges, efforts, find_couplings
-from qdgrasp_assets.grippers.urdf import MOST_LINKS, MOST_NAMED, Urdf, UrdfJoint, add_file, parse_robot
+from qdgrasp_assets.grippers.urdf import (
+    MOST_LINKS,
+    MOST_NAMED,
+    Urdf,
+    UrdfJoint,
+    add_file,
+    add_inertial,
+    add_joint,
+    parse_robot,
+)
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.text import counted, first_few, quoted
 
@@ -187,10 +196,8 @@ class _Translation:
                 self._counts["chain"] += 1
             before, origin, anchor = link, np.eye(4), place
         if not joints:
-            element = ET.SubElement(
-                self.robot, "joint", name=self._joint_names.new(f"{name}_fixed"), type="fixed"
-            )
-            _add_ends(element, before, name, origin)
+            fixed = self._joint_names.new(f"{name}_fixed")
+            add_joint(self.robot, fixed, "fixed", (before, name), **_origin(origin))
         self._anchors[body] = anchor
         inertial = _shift(-anchor) @ _frame(model.body_ipos[body], model.body_iquat[body])
         return self._add_inertia(name, model.body_mass[body], model.body_inertia[body], inertial)
@@ -209,8 +216,7 @@ class _Translation:
         kind = kinds.get(self._joint_kind(number).name.removeprefix("mjJNT_"), "ball")
         reference = float(model.qpos0[model.jnt_qposadr[number]])
         motion = UrdfJoint(name, kind, parent, child, origin, axis, 0.0, 0.0, 0.0, 0.0).motion(-reference)
-        element = ET.SubElement(self.robot, "joint", name=name, type=kind)
-        _add_ends(element, parent, child, origin @ motion)
+        element = add_joint(self.robot, name, kind, (parent, child), **_origin(origin @ motion))
         ET.SubElement(element, "axis", xyz=_words(axis))
         if limits is not None or kind == "continuous":
             bounds = {} if limits is None else {"lower": _words(limits[:1]), "upper": _words(limits[1:])}
@@ -228,11 +234,7 @@ class _Translation:
     def _add_inertia(self, name: str, mass: float, moments: Floats, frame: Floats) -> ET.Element:
         """Add a link with this mass [kg] and principal moments (3,) [kg m2] at `frame`."""
         link = ET.SubElement(self.robot, "link", name=name)
-        inertial = ET.SubElement(link, "inertial")
-        ET.SubElement(inertial, "origin", _origin(frame))
-        ET.SubElement(inertial, "mass", value=repr(float(mass)))
-        diagonal = {key: repr(float(each)) for key, each in zip(("ixx", "iyy", "izz"), moments, strict=True)}
-        ET.SubElement(inertial, "inertia", {**diagonal, "ixy": "0", "ixz": "0", "iyz": "0"})
+        add_inertial(link, repr(float(mass)), [repr(float(each)) for each in moments], **_origin(frame))
         return link
 
     def _moved_trees(self) -> list[int]:
@@ -327,12 +329,6 @@ def _shift(place: Floats) -> Floats:
     frame = np.eye(4)
     frame[:3, 3] = place
     return frame
-
-
-def _add_ends(joint: ET.Element, parent: str, child: str, origin: Floats) -> None:
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
-    ET.SubElement(joint, "origin", _origin(origin))
 
 
 def _origin(frame: Floats) -> dict[str, str]:

@@ -17,6 +17,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from qdgrasp_assets.geometry.mesh import parse_parts
 from qdgrasp_assets.geometry.resting_poses import chosen_resting_poses
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, rotate, unit
 from qdgrasp_assets.geometry.voxels import (
@@ -28,7 +29,6 @@ from qdgrasp_assets.geometry.voxels import (
     solid_voxels,
     transform_points,
 )
-from qdgrasp_assets.grippers.collision_shapes import obj_group_corners
 from qdgrasp_assets.grippers.hand_geometry import POINTS_AT_ONCE, STAGES, hand_geometry
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper
 from qdgrasp_protocol.spec import APPROACH_DISTANCE, RunSpec
@@ -141,7 +141,7 @@ class ReachabilityCheck:
         self.poses = chosen_resting_poses(scene.object.collision, resting_pose, scene.object.name)
         """The object's resting poses that are checked, by number."""
         self._approach = HandApproach(scene.gripper, distance)
-        hulls = convex_hulls(obj_group_corners(scene.object.collision.decode()))
+        hulls = convex_hulls(part.vertices for part in parse_parts(scene.object.collision.decode()))
         self._inside = solid_voxels(hulls, *box_around(hulls))
 
     @classmethod

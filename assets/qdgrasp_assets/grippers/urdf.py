@@ -8,7 +8,7 @@ import importlib.util
 import re
 import xml.etree.ElementTree as ET
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
@@ -302,13 +302,17 @@ def joint_end(joint: ET.Element, tag: str) -> str:
 
 def _numbers(path: Path, element: ET.Element, name: str, count: int) -> list[float]:
     text = element.get(name, "")
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count:
+    if len(values := numbers_in(text)) != count:
         raise AssetError(f"The URDF '{path}': <{element.tag} {name}=\"{text}\"> must hold {count} numbers.")
     return values
+
+
+def numbers_in(text: str) -> list[float]:
+    """Return the numbers of an attribute; empty where it holds something else."""
+    try:
+        return [float(word) for word in text.split()]
+    except ValueError:
+        return []
 
 
 def parse_origin(path: Path, element: ET.Element | None) -> Floats:
@@ -358,6 +362,27 @@ def _mesh_places(urdf: Path, name: str) -> Iterator[Path]:
     spec = importlib.util.find_spec(package) if package.isidentifier() else None
     for place in (spec and spec.submodule_search_locations) or ():
         yield Path(place) / rest
+
+
+def add_inertial(
+    link: ET.Element, mass: str, moments: Iterable[str], xyz: str = "0 0 0", rpy: str = "0 0 0"
+) -> None:
+    """Add the `<inertial>` of a mass [kg] and principal moments (3,) [kg m2] to a `<link>`."""
+    inertial, (ixx, iyy, izz) = ET.SubElement(link, "inertial"), moments
+    ET.SubElement(inertial, "origin", xyz=xyz, rpy=rpy)
+    ET.SubElement(inertial, "mass", value=mass)
+    ET.SubElement(inertial, "inertia", ixx=ixx, ixy="0", ixz="0", iyy=iyy, iyz="0", izz=izz)
+
+
+def add_joint(
+    robot: ET.Element, name: str, kind: str, ends: tuple[str, str], xyz: str = "0 0 0", rpy: str = "0 0 0"
+) -> ET.Element:
+    """Add a joint between two links, parent and child, to a `<robot>`; return it."""
+    joint = ET.SubElement(robot, "joint", name=name, type=kind)
+    ET.SubElement(joint, "parent", link=ends[0])
+    ET.SubElement(joint, "child", link=ends[1])
+    ET.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+    return joint
 
 
 def add_file(files: dict[str, bytes], stem: str, suffix: str, content: bytes) -> str:

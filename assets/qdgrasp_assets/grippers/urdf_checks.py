@@ -11,9 +11,9 @@ import numpy as np
 
 from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import stl_triangles
-from qdgrasp_assets.grippers.collision_shapes import FORMS
-from qdgrasp_assets.grippers.hand_model import collision_corners, collision_elements
-from qdgrasp_assets.grippers.urdf import Urdf, edges, listed
+from qdgrasp_assets.grippers.collision_shapes import FORMS, collision_elements
+from qdgrasp_assets.grippers.hand_model import collision_corners
+from qdgrasp_assets.grippers.urdf import Urdf, edges, listed, numbers_in
 from qdgrasp_protocol.errors import AssetError
 
 LIMITED = ("revolute", "prismatic")
@@ -49,14 +49,14 @@ def _joint_faults(name: str, joint: ET.Element, joints: Mapping[str, ET.Element]
     if kind in LIMITED and joint.find("limit") is None:
         yield f"the joint '{name}' is {kind} and has no <limit>: give it lower, upper, effort and velocity"
     axis = joint.find("axis")
-    if kind != "fixed" and axis is not None and not any(_attribute_numbers(axis.get("xyz", ""))):
+    if kind != "fixed" and axis is not None and not any(numbers_in(axis.get("xyz", ""))):
         yield f"the joint '{name}' has the axis '{axis.get('xyz')}'; an axis has a direction, such as '0 0 1'"
     mimic = joint.find("mimic")
     leader = None if mimic is None else mimic.get("joint", "")
     if leader is not None and (leader not in joints or leader == name):
         yield f"the joint '{name}' mimics '{leader}', which is no other joint of the robot; correct the name"
     factors = "1 0" if mimic is None else f"{mimic.get('multiplier', 1)} {mimic.get('offset', 0)}"
-    if len(_attribute_numbers(factors)) != 2:
+    if len(numbers_in(factors)) != 2:
         yield f"the joint '{name}' mimics another by what is no number; correct multiplier and offset"
 
 
@@ -66,7 +66,7 @@ def _reversed_limits(joints: Mapping[str, ET.Element]) -> Iterator[str]:
     for name, joint in joints.items():
         limit = joint.find("limit")
         if joint.get("type") in LIMITED and limit is not None:
-            match _attribute_numbers(f"{limit.get('lower', '0')} {limit.get('upper', '0')}"):
+            match numbers_in(f"{limit.get('lower', '0')} {limit.get('upper', '0')}"):
                 case low, high if low > high:
                     turned.append(name)
                 case low, high if low == high:
@@ -80,14 +80,6 @@ def _reversed_limits(joints: Mapping[str, ET.Element]) -> Iterator[str]:
         yield (
             f"{listed('joint', still)} limited to one place, lower equal to upper: make it fixed, or widen it"
         )
-
-
-def _attribute_numbers(text: str) -> list[float]:
-    """Return the numbers of an attribute; empty where it holds something else."""
-    try:
-        return [float(word) for word in text.split()]
-    except ValueError:
-        return []
 
 
 HEAVIEST_HAND = 30.0  # Largest mass of a hand [kg]; a heavier one is given in grams
@@ -150,7 +142,7 @@ def _masses(element: ET.Element) -> dict[str, float | None]:
     masses: dict[str, float | None] = {}
     for name, inertial in _inertials(element).items():
         mass = None if inertial is None else inertial.find("mass")
-        values = [] if mass is None else _attribute_numbers(mass.get("value", ""))
+        values = [] if mass is None else numbers_in(mass.get("value", ""))
         masses[name] = values[0] if len(values) == 1 else None
     return masses
 
@@ -204,7 +196,7 @@ def _shape_fault(hand: Urdf, link: str, shape: ET.Element) -> str:
     if form.tag == "mesh":
         return _mesh_fault(hand, link, shape, form.get("filename", ""))
     size = " ".join(form.get(name, "") for name in SIZE_ATTRIBUTES[form.tag])
-    sizes = _attribute_numbers(size)
+    sizes = numbers_in(size)
     if len(sizes) == SIZE_COUNTS[form.tag] and min(sizes) > 0:
         return ""
     return (

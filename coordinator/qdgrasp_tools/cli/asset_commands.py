@@ -5,7 +5,7 @@ Also how these and `qdgrasp gripper` print what a check found, and where they dr
 
 import json
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -17,7 +17,7 @@ import typer
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_paths import named_path, path_problem
 from qdgrasp_assets.asset_report import AssetReport, ObjectReport, inspect_object
-from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
+from qdgrasp_assets.geometry.collision_parts import ignore_progress
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.object_model import ObjectDraft, ObjectModel, file_facts, geometry_of, read_draft
@@ -105,7 +105,7 @@ def fetch(
     for name in wanted:
         try:
             with progress_messages() as tell:
-                fetched = fetch_scan(name, home, _telling(tell, name))
+                fetched = fetch_scan(name, home, tell)
             echo(f"{name}: fetched, and it measures what it must: {fetched}")
         except WrongScan as error:
             refused.append(str(error))
@@ -140,13 +140,6 @@ def resting_poses_of(
     for number, pose in enumerate(poses):
         up = " ".join(f"{value:6.3f}" for value in pose.up)
         echo(f"{number:>4} {pose.probability:>11.3f}  {up:<22} {-pose.height:>10.4f}")
-
-
-def _telling(tell: Tell, name: str) -> Callable[[int, int | None], None]:
-    """Return a function that reports a download, given the bytes so far and in all."""
-    return lambda here, total: tell(
-        f"{name}: {here >> 20} MiB" + (f" of {total >> 20}" if total is not None else "")
-    )
 
 
 object_app = typer.Typer(

@@ -9,9 +9,9 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.geometry.mesh import parse_parts
 from qdgrasp_assets.grippers.collision_shapes import (
     link_convex_parts,
-    obj_group_corners,
     shapes,
 )
 from qdgrasp_assets.grippers.urdf import parse_robot
@@ -58,6 +58,6 @@ def test_an_stl_is_one_part_with_its_scale() -> None:
 
 @pytest.mark.parametrize("word", ["o", "g"])
 def test_an_obj_has_a_part_for_each_group_with_the_corners_of_its_triangles(word) -> None:
-    one, two = obj_group_corners(TWO.format(word))
+    one, two = (part.vertices for part in parse_parts(TWO.format(word)))
     np.testing.assert_array_equal(one, TETRAHEDRON)
     np.testing.assert_array_equal(two, [(0, 0, 0), (1, 0, 0), (5, 5, 5)])

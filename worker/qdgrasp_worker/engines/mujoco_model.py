@@ -17,14 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from qdgrasp_assets.geometry.mesh import parse_parts
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.geometry.voxels import convex_hulls
-from qdgrasp_assets.grippers.collision_shapes import (
-    attribute_numbers,
-    check_convex,
-    geometry_corners,
-    obj_group_corners,
-)
+from qdgrasp_assets.grippers.collision_shapes import attribute_numbers, check_convex, geometry_corners
 from qdgrasp_assets.grippers.hand_model import followers
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, scene_robot
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper
@@ -215,7 +211,8 @@ class SceneModel:
         """The joints of the hand that are commanded, in the gripper's order."""
         self.couplings = list(couplings(self.robot, gripper))
         target = scene.object
-        shape = mesh_shape(".obj", np.eye(4), list(obj_group_corners(target.collision.decode())))
+        hulls = [part.vertices for part in parse_parts(target.collision.decode())]
+        shape = mesh_shape(".obj", np.eye(4), hulls)
         sides = shape.high - shape.low + 2 * (sum(INFLATIONS[".obj"]) + 1) * HULL_MARGIN
         self.moments = box_moments(target.mass, sides)
         """The object's principal moments of inertia (3,) [kg m2]."""
