@@ -204,7 +204,7 @@ def weigh(hand: Urdf) -> Iterator[str]:
 
 
 def _add_mass(link: ET.Element, parts: tuple[Floats, ...]) -> float:
-    """Add the `<inertial>` of convex parts (v, 3) [m]: the inertia of their box. Return its mass [kg]."""
+    """Add the mass of convex parts (v, 3) [m], with their box's inertia; return it [kg]."""
     mass = max(DENSITY * sum(hull(part).volume for part in parts if is_solid(part)), FRAME_MASS)
     corners = np.concatenate([np.zeros((0, 3)), *parts])
     low, high = (corners.min(axis=0), corners.max(axis=0)) if len(corners) else (np.zeros(3), np.zeros(3))
