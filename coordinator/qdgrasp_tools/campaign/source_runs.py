@@ -155,7 +155,7 @@ def write_ranking(folder: RunFolder) -> str:
     return f"{text}\n{counted(len(table), 'grasp')} ranked in {folder.path / RANKING}"
 
 
-def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
+def rank_poses(folder: RunFolder) -> list[list[float]]:
     """Rank a run's poses, best first, ties in their order; each as in `RANKING_COLUMNS`.
 
     The greatest eta comes first. A pose that is no success any more has eta 0: it has no trials.
@@ -166,30 +166,18 @@ def rank_poses(folder: RunFolder) -> list[tuple[float, ...]]:
         raise outputs.damaged_file(folder.path / SOURCE, str(error)) from None
     found = folder.successes(Outcome.ERROR)
     rows, trials, etas = found.rows, found.trials, TrialPlan.of(folder.spec).eta(found.scores)
-    errors = eta_error(etas, trials)
     settled = np.where(settled_mask(rows)[:, None], settled_poses(rows), np.nan)
-    moved, margins = object_motion(rows)[:, 0] / MM, np.full(len(rows), np.nan)
+    margins = np.full(len(rows), np.nan)
     if settled_mask(rows).any():
         margins = recorded_margins(rows, folder.scene().object)
-    order = np.lexsort((-etas, -trials))
-    cell = cells(rows["descriptor"][:, :3])
-    return [
-        (
-            rank,
-            float(etas[place]),
-            float(errors[place]),
-            int(trials[place]),
-            float(rows["fitness"][place]),
-            *msgspec.structs.astuple(source.rows[place]),
-            *cell[place].tolist(),
-            *rows["base_to_object"][place].tolist(),
-            *settled[place].tolist(),
-            float(rows["penetration"][place]),
-            float(moved[place]),
-            float(margins[place]),
-        )
-        for rank, place in enumerate(order.tolist(), start=1)
-    ]
+    columns = (
+        *(etas, eta_error(etas, trials), trials, rows["fitness"]),
+        [msgspec.structs.astuple(source.rows[place]) for place in range(len(rows))],
+        *(cells(rows["descriptor"][:, :3]), rows["base_to_object"], settled),
+        *(rows["penetration"], object_motion(rows)[:, 0] / MM, margins),
+    )
+    ordered = np.column_stack(columns)[np.lexsort((-etas, -trials))]
+    return [[rank, *line] for rank, line in enumerate(ordered.tolist(), start=1)]
 
 
 SAME_KEYS = ("aim_for", "nominal_protocol", "overlaps")
