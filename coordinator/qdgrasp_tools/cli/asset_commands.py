@@ -18,6 +18,7 @@ from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_paths import named_path, path_problem
 from qdgrasp_assets.asset_report import AssetReport, ObjectReport, inspect_object
 from qdgrasp_assets.geometry.collision_parts import ignore_progress
+from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.object_model import ObjectDraft, ObjectModel, file_facts, geometry_of, read_draft
@@ -52,15 +53,17 @@ def picture_file(folder: Path, name: str, flag: str = "--picture") -> OutFile:
     return OutFile(place, instead, force=True, is_kind=is_drawn_here)
 
 
-def draw_asset(asset: Gripper | ObjectModel, name: str, folder: Path) -> Path:
-    """Draw a hand or an object into the picture's file; returns its path."""
+def draw_asset(asset: Gripper | ObjectModel | Mesh, name: str, folder: Path) -> Path:
+    """Draw a hand, an object or a mesh into the picture's file; returns its path."""
     # matplotlib takes half a second to import, and most commands draw nothing
-    from qdgrasp_tools.rendering.drawings import draw_gripper, draw_object
+    from qdgrasp_tools.rendering.drawings import draw_gripper, draw_mesh, draw_object
 
     drawn = picture_file(folder, name)
     with drawn.writing() as made:
         if isinstance(asset, Gripper):
             draw_gripper(asset.on_carrier("paper"), made)
+        elif isinstance(asset, Mesh):
+            draw_mesh(name, asset, made)
         else:
             draw_object(asset, made)
     return drawn.path
@@ -233,16 +236,11 @@ def _made(
 
 
 def _drawn(found: ObjectReport, draft: ObjectDraft, path: Path, folder: Path) -> Path:
-    if found.convex is not None:
-        facts = file_facts(RunSpec(gripper="", object=str(path), mass=found.mass or 1.0))
-        body = ObjectModel(**vars(facts), **vars(geometry_of(draft, path.name, ignore_progress)))
-        return draw_asset(body, path.name, folder)
-    from qdgrasp_tools.rendering.drawings import draw_mesh  # matplotlib takes its time to import
-
-    drawn = picture_file(folder, path.name)
-    with drawn.writing() as made:
-        draw_mesh(path.name, draft.mesh, made)
-    return drawn.path
+    if found.convex is None:
+        return draw_asset(draft.mesh, path.name, folder)
+    facts = file_facts(RunSpec(gripper="", object=str(path), mass=found.mass or 1.0))
+    body = ObjectModel(**vars(facts), **vars(geometry_of(draft, path.name, ignore_progress)))
+    return draw_asset(body, path.name, folder)
 
 
 def _next(file: str, scale: float | None, mass: float | None) -> str:

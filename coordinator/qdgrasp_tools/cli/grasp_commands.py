@@ -19,7 +19,7 @@ from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import progress_display, progress_messages
-from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines, score_poses
+from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines, score_genomes
 
 if TYPE_CHECKING:
     from qdgrasp_tools.export.importer import ImportedPoses
@@ -225,7 +225,8 @@ def evaluate(
         shown.say(f"building the scene of {spec.gripper} and {spec.object}")
         prepared = prepare_scene(spec)
         with lifetime("qdgrasp evaluate") as stop:
-            rows = score_poses(spec, prepared, hand_poses, config, shown, stop)
+            genomes = hand_poses.genomes(prepared.scene)
+            rows = score_genomes(spec, prepared, genomes, config, shown, stop)
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
     with output.writing() as made:

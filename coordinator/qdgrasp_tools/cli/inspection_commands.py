@@ -33,7 +33,8 @@ from qdgrasp_tools.cli.options import host_and_port
 from qdgrasp_tools.local.progress import progress_display
 from qdgrasp_tools.local.supervisor import LocalJobConfig
 from qdgrasp_tools.report.row_report import report_table, row_report
-from qdgrasp_tools.verification.verify import choose_rows, compare_engine, verify_rows
+from qdgrasp_tools.verification.comparison import VerificationReport
+from qdgrasp_tools.verification.verify import EngineComparison, choose_rows, compare_engine, verify_rows
 
 
 def info(
@@ -127,23 +128,18 @@ def verify(
     engines = [engine] if engine is not None else [folder.spec.engine for folder in folders]
     config = LocalJobConfig(options.worker_count(workers, *engines))
     most = None if every else sample or SAMPLE_ROWS
-    if engine is not None:
-        with progress_display("verify", most or 0) as shown, lifetime("qdgrasp verify") as stop:
-            compared = compare_engine(RunFolder.open(directory), engine, most, seed, config, shown, stop)
-        if compared is None:
-            raise typer.Exit(stop.exit_code)
-        echo(json.dumps(msgspec.to_builtins(compared)) if as_json else compared.table)
-        return
-    samples = choose_rows(folders, most, seed)
-    with (
-        progress_display("verify", sum(len(sample.numbers) for sample in samples)) as shown,
-        lifetime("qdgrasp verify") as stop,
-    ):
-        found = verify_rows(samples, config, shown, stop)
-    if stop.is_set:
+    samples = choose_rows(folders, most, seed) if engine is None else []
+    rows = sum(len(each.numbers) for each in samples) if engine is None else most or 0
+    with progress_display("verify", rows) as shown, lifetime("qdgrasp verify") as stop:
+        found: VerificationReport | EngineComparison | None
+        if engine is None:
+            found = verify_rows(samples, config, shown, stop)
+        else:
+            found = compare_engine(RunFolder.open(directory), engine, most, seed, config, shown, stop)
+    if stop.is_set or found is None:
         raise typer.Exit(stop.exit_code)
     echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
-    if not found.is_same:
+    if isinstance(found, VerificationReport) and not found.is_same:
         raise typer.Exit(1)
 
 

@@ -101,14 +101,24 @@ def run(
 
 
 def start_run(
-    spec: RunSpec, out: Path, config: LocalJobConfig, job: str | None = None, more: Files = NO_FILES
+    spec: RunSpec,
+    out: Path,
+    config: LocalJobConfig,
+    job: str | None = None,
+    more: Files = NO_FILES,
+    like: Scene | None = None,
 ) -> None:
-    """Begin a run in a new folder, with `more` files in it, and carry it out."""
+    """Begin a run in a new folder, with `more` files in it, and carry it out.
+
+    Raises InputError if hand or object differ from those of the scene `like`.
+    """
     RunFolder.check_free(out)
     config.check_engines([spec])
     echo(f"building the scene of {spec.gripper} and {spec.object}", err=True)
     with progress_messages() as tell:
-        bundle = run_plan.prepare_scene(spec, tell=tell).bundle
+        scene, bundle = run_plan.prepare_scene(spec, tell=tell)
+    if like is not None:
+        _check_same(like, scene)
     with progress_display(out.name, spec.evaluations) as shown, lifetime("qdgrasp run") as stop:
         folder = RunFolder.create(out, spec, bundle, job=job, more=more)
         run_job(folder.job, config, shown, stop)
@@ -238,16 +248,8 @@ def rerank(
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, trials=trials, **ways)
     count = options.worker_count(workers, spec.engine)
     config = LocalJobConfig(count, listen, security, insecure)
-    config.check_engines([spec])
-    with progress_display(folder.name, spec.evaluations) as shown:
-        shown.say(f"scoring {counted(len(chosen), 'grasp')} of {directory} again")
-        scene, bundle = run_plan.prepare_scene(spec)
-        _check_same(source.scene(), scene)
-        with lifetime("qdgrasp rerank") as stop:
-            noted = source_runs.source_file(source, chosen)
-            begun = RunFolder.create(folder, spec, bundle, job=job, more=noted)
-            run_job(begun.job, config, shown, stop)
-    print_result(begun, stop)
+    echo(f"scoring {counted(len(chosen), 'grasp')} of {directory} again", err=True)
+    start_run(spec, folder, config, job, source_runs.source_file(source, chosen), source.scene())
 
 
 def _grasps_of(source: RunFolder, limits: GraspLimits) -> Rows:

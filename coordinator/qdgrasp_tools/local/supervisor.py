@@ -14,11 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
+import numpy as np
+from numpy.typing import NDArray
+
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RowSink
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue, SingleRunQueue, plan_genomes
-from qdgrasp_coordinator.search.fixed_poses import HandPoses
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.bus import Bus, Sample
@@ -339,16 +341,16 @@ def run_temporary_job(
 SCORING_JOB = "evaluate"
 
 
-def score_poses(
+def score_genomes(
     spec: RunSpec,
     prepared: PreparedScene,
-    poses: HandPoses,
+    genomes: NDArray[np.float32],
     config: LocalJobConfig,
     display: ProgressDisplay,
     stop: Stop,
 ) -> Rows:
-    """Evaluate poses with a scene's gripper and object; returns rows in journal order."""
-    plan = plan_genomes(spec, prepared, GIVEN, poses.genomes(prepared.scene))
-    memory, queue = MemorySink(plan.shape), SingleRunQueue(lambda: plan, len(poses))
+    """Evaluate genomes (n, d) of the prior `given` in a scene; returns rows in journal order."""
+    plan = plan_genomes(spec, prepared, GIVEN, genomes)
+    memory, queue = MemorySink(plan.shape), SingleRunQueue(lambda: plan, len(genomes))
     run_temporary_job(SCORING_JOB, queue, lambda _: memory, config, display, stop)
     return memory.rows

@@ -21,8 +21,6 @@ from qdgrasp_coordinator.scheduler.run_plan import (
     ReevaluationPlan,
     RunPlan,
     RunQueue,
-    SingleRunQueue,
-    plan_genomes,
 )
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
@@ -31,11 +29,11 @@ from qdgrasp_coordinator.storage.platforms import platform_differences, platform
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, Provenance, RunFolder, provenance
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
+from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import engine_names, run_spec, to_values
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.local.progress import ProgressDisplay
-from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines, run_temporary_job
+from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines, run_temporary_job, score_genomes
 from qdgrasp_tools.verification.comparison import (
     DifferentRow,
     PlatformShare,
@@ -272,16 +270,14 @@ def compare_engine(
     if scene.engine:
         check_convex(scene.gripper)
     genomes = as_given(scene, prior_of(folder.spec), found.rows)
-    plan = plan_genomes(spec, PreparedScene(scene, pack_scene(scene)), GIVEN, genomes)
-    memory = MemorySink(plan.shape)
-    queue = SingleRunQueue(lambda: plan, len(found))
-    run_temporary_job(VERIFICATION_JOB, queue, lambda _: memory, config, display, stop)
+    prepared = PreparedScene(scene, pack_scene(scene))
+    rows = score_genomes(spec, prepared, genomes, config, display, stop)
     if stop.is_set:
         return None
-    judged = memory.rows["outcome"] != Outcome.ERROR
+    judged = rows["outcome"] != Outcome.ERROR
     if not judged.any():
         raise InputError(f"{engine} failed on every success of {folder.path}; `qdgrasp run` in it tells why.")
-    recorded, now = found.rows[judged], memory.rows[judged]
+    recorded, now = found.rows[judged], rows[judged]
     table = write_table(folder, engine, found.numbers[judged], recorded, now)
     outcomes: dict[str, dict[str, int]] = {}
     pairs = Counter(zip(recorded["outcome"].tolist(), now["outcome"].tolist(), strict=True))

@@ -1,6 +1,5 @@
 """Choice of rows, each kind with its share, and their comparison."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +7,8 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows, record, reshape_rows
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
-from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue
 from qdgrasp_coordinator.storage.engine_table import read_table
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import RunFolder, run_folders
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.process import Stop
@@ -101,14 +97,9 @@ def test_rows_on_which_the_other_engine_failed_are_counted_apart_and_in_no_table
     rows["outcome"] = (Outcome.HELD, Outcome.DROPPED, Outcome.DROPPED)
     folder = record(tmp_path / "run", made_scene(), rows, protocol="physical")
 
-    def simulate(_job: str, queue: SingleRunQueue, make_sink: Callable[..., MemorySink], *_: object) -> None:
-        plan = queue.next()
-        assert plan is not None
-        now = plan.shape.empty(3)
-        now["outcome"] = (Outcome.HELD, Outcome.SHAKEN, Outcome.ERROR)
-        make_sink(plan).push(JournalSlice(0, now))
-
-    monkeypatch.setattr(verify, "run_temporary_job", simulate)
+    now = rows.copy()
+    now["outcome"] = (Outcome.HELD, Outcome.SHAKEN, Outcome.ERROR)
+    monkeypatch.setattr(verify, "score_genomes", lambda *_: now)
     config, display = LocalJobConfig(workers=1), None
     found = compare_engine(folder, "mujoco", None, 0, config, display, Stop())  # type: ignore[arg-type]
     assert found is not None
@@ -117,7 +108,7 @@ def test_rows_on_which_the_other_engine_failed_are_counted_apart_and_in_no_table
     assert "mujoco failed on 1 more" in found.table
     assert len(read_table(Path(found.file))) == 2
     Path(found.file).write_text("row,outcome\n3,held\n")
-    monkeypatch.setattr(verify, "run_temporary_job", lambda *_: pytest.fail("it was simulated"))
+    monkeypatch.setattr(verify, "score_genomes", lambda *_: pytest.fail("it was simulated"))
     with pytest.raises(InputError, match=r"is no table that .*; remove it"):
         compare_engine(folder, "mujoco", None, 0, config, display, Stop())  # type: ignore[arg-type]
 
