@@ -16,10 +16,9 @@ from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.process import configure_logging
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
-from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import ProgressDisplay
-from qdgrasp_tools.local.supervisor import LocalSession, check_engines, open_session
+from qdgrasp_tools.local.supervisor import LocalSession, open_session
 
 log = structlog.get_logger()
 ROUTER_SECONDS = 10.0  # seconds to wait for a router, and for workers before a warning
@@ -80,11 +79,6 @@ class Place:
                 "Place(workers=0) has no workers: start some, or name a router that has some "
                 "with connect='tcp/HOST:PORT'."
             )
-
-    def check_engine(self, spec: RunSpec) -> None:
-        """Raise an InputError if workers are started here that lack the engine or device of a run."""
-        if self.hands:
-            check_engines([spec])
 
     def meet(self) -> Meeting:
         """Open a session on the bus; also return its endpoint.

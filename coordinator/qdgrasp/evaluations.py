@@ -30,7 +30,7 @@ from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.local.supervisor import LocalSession
+from qdgrasp_tools.local.supervisor import LocalSession, check_engines
 
 
 class GenomeRequest:
@@ -111,7 +111,7 @@ class Evaluations:
         self, *, prior: str = "contact", place: Place = HERE, **scenery: Unpack[SceneArguments]
     ) -> None:
         self.spec = spec_from_arguments(scenery)
-        place.check_engine(self.spec)
+        check_engines([self.spec], place.hands)
         self._prepared = prepare_scene(self.spec)
         self.scene = self._prepared.scene
         """The gripper and the object as they are simulated."""

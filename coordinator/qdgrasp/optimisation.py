@@ -27,6 +27,7 @@ from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Genomes, Layout, Rows
 from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec, differences
 from qdgrasp_tools.local.progress import ProgressDisplay, progress_display
+from qdgrasp_tools.local.supervisor import check_engines
 
 
 class Search(Protocol):
@@ -150,7 +151,7 @@ def optimise(
         seed=seed,
         generations_in_flight=generations_in_flight,
     )
-    place.check_engine(spec)
+    check_engines([spec], place.hands)
     is_there = _is_there(path, spec, resume=resume)
     prepared = RunFolder(path).prepared_scene() if is_there else prepare_scene(spec)
     genes = layout_of(prepared.scene, prior)

@@ -20,7 +20,7 @@ import structlog
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import BusError, Faulty, MessageError, NoReply, Refused
-from qdgrasp_protocol.keys import Keys, last_chunk, parse_number
+from qdgrasp_protocol.keys import last_chunk, parse_number
 from qdgrasp_protocol.messages import Chunk, M
 from qdgrasp_protocol.text import printable
 
@@ -272,13 +272,8 @@ def _place(query: Query, size: int) -> tuple[int, int]:
     return total, place * CHUNK_SIZE
 
 
-def fetch_bundle(bus: Bus, job: str, digest: str) -> bytes:
-    """All bytes of a bundle, from the coordinator of a job; raises as `fetch_bundle_from`."""
-    return fetch_bundle_from(bus, Keys(job).asset(digest), digest)
-
-
-def fetch_bundle_from(bus: Bus, key: str, digest: str) -> bytes:
-    """All bytes of a bundle, from the process that answers on `key`.
+def fetch_bundle(bus: Bus, key: str) -> bytes:
+    """All bytes of a bundle, from the process that answers on `key`, whose last chunk is its digest.
 
     NoReply or Refused if there is no such scene, TooLarge if it cannot be one, a MessageError if what came is
     not the scene of that digest.
@@ -288,6 +283,6 @@ def fetch_bundle_from(bus: Bus, key: str, digest: str) -> bytes:
         raise TooLarge(first.total)
     rest = [messages.decode(bus.ask(key, parameters=f"i={i}"), Chunk).data for i in range(1, first.total)]
     payload = b"".join([first.data, *rest])
-    if hashlib.sha256(payload).hexdigest() != digest:
-        raise MessageError(f"the scene that came is not {digest[:12]}")
+    if hashlib.sha256(payload).hexdigest() != last_chunk(key):
+        raise MessageError(f"the scene that came is not {last_chunk(key)[:12]}")
     return payload

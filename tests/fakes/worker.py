@@ -20,7 +20,6 @@ from qdgrasp_protocol.messages import Control, Failure, Joined, Result, Work, de
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
 from qdgrasp_worker.runtime.service import Inbox, WorkerService
-from qdgrasp_worker.runtime.simulator_messages import SimulatorSettings
 from qdgrasp_worker.runtime.simulator_supervisor import SimulatorClient, SimulatorSupervisor
 
 WORK = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
@@ -106,8 +105,8 @@ class RunningWorker(ServiceThread):
         super().__init__(self._work, Stop())
 
     def _start_simulator(self) -> SimulatorClient:
-        settings = SimulatorSettings(row_seconds=PATIENCE, memory=900_000_000, nice=0)
-        self.simulators.append(SimulatorClient(self._command, settings, self._inbox.put))
+        limits = str(PATIENCE), "900000000", "0"
+        self.simulators.append(SimulatorClient([*self._command, *limits], self._inbox.put))
         return self.simulators[-1]
 
     def _work(self) -> None:

@@ -355,7 +355,7 @@ def test_a_bundle_of_any_length_arrives_whole(length: int) -> None:
     network = MemoryNetwork()
     with network.session() as coordinator, network.session() as worker:
         coordinator.answer(KEYS.asset(), lambda query: answer_chunk(query, payload, digest(payload)))
-        assert fetch_bundle(worker, "mugs", digest(payload)) == payload
+        assert fetch_bundle(worker, KEYS.asset(digest(payload))) == payload
 
 
 @pytest.mark.parametrize(
@@ -374,10 +374,10 @@ def test_what_is_not_the_scene_of_its_digest_is_refused() -> None:
     network = MemoryNetwork()
     with network.session() as bus:
         with pytest.raises(NoReply):
-            fetch_bundle(bus, "mugs", "a" * 64)
+            fetch_bundle(bus, KEYS.asset("a" * 64))
         bus.answer(KEYS.asset(), lambda query: messages.encode(Chunk(total=1, data=b"another")))
         with pytest.raises(MessageError, match="is not aaaaaaaaaaaa"):
-            fetch_bundle(bus, "mugs", "a" * 64)
+            fetch_bundle(bus, KEYS.asset("a" * 64))
 
 
 def test_a_scene_that_is_said_to_be_too_large_is_not_even_fetched() -> None:
@@ -390,5 +390,5 @@ def test_a_scene_that_is_said_to_be_too_large_is_not_even_fetched() -> None:
     with MemoryNetwork().session() as bus:
         bus.answer(KEYS.asset(), answer)
         with pytest.raises(MessageError, match="4096 chunks, more than 256"):
-            fetch_bundle(bus, "mugs", "a" * 64)
+            fetch_bundle(bus, KEYS.asset("a" * 64))
     assert asked == ["i=0"]

@@ -4,8 +4,8 @@ Rows and shapes are estimated apart, each by the time that workers took for one:
 rows come, and a rate over that time would say nothing of the rows that are left. Pure: time is passed in.
 """
 
-import math
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,11 +15,6 @@ from qdgrasp_coordinator.metrics.job_status import JobStatus
 from qdgrasp_protocol.messages import Heartbeat
 from qdgrasp_protocol.text import counted, first_few
 
-SETTLING = 30.0
-"""Seconds in which the time left follows a new estimate.
-
-Objects differ in cost, and a time that jumps with each of them is of no use.
-"""
 QUIET_SECONDS = 10.0
 """Seconds without a row after which it is said what the job does: forty batches, which take 0.25 s each."""
 OBJECTS_NAMED = 2  # Most objects that are named while their shapes are built
@@ -47,11 +42,10 @@ class TimeLeft:
     def __init__(self) -> None:
         self._at: float | None = None
         self._settled = 0
-        self._row_at = -math.inf
+        self._row_at = -inf
         self._before: float | None = None  # Evaluations with the first rows, which waited for their scene
         self._row_work = 0.0  # Seconds of workers that had rows, or could have had, since then
         self._workers = 1  # The last number that was not 0
-        self._shown: float | None = None
 
     def note(self, figures: JobStatus, work: WorkersAtWork, shapes_left: float, now: float) -> JobStatus:
         """Return a job's figures with the time left, and with its work if no rows come in.
@@ -67,10 +61,10 @@ class TimeLeft:
             self._row_at = now
             self._before = evaluations if self._before is None else self._before
         self._at, self._settled = now, work.settled
-        self._shown = self._follow(self._estimate(figures, evaluations, shapes_left), passed)
         is_quiet = now - self._row_at > QUIET_SECONDS and figures.state in ("starting", "running")
         doing = activity(figures, work, has_begun=self._before is not None) if is_quiet else ""
-        return structs.replace(figures, seconds_left=self._shown, doing=doing)
+        left = self._estimate(figures, evaluations, shapes_left)
+        return structs.replace(figures, seconds_left=left, doing=doing)
 
     def _estimate(self, figures: JobStatus, evaluations: float, shapes_left: float) -> float | None:
         """Return the seconds left by the mean costs so far; None where one is not known."""
@@ -85,16 +79,6 @@ class TimeLeft:
                 return None
             shapes = shapes_left * figures.scenes_seconds / (figures.scenes_done + figures.scenes_failed)
         return (rows + shapes) / self._workers
-
-    def _follow(self, estimate: float | None, passed: float) -> float | None:
-        """Return the time left to show [s], between an estimate and that shown before.
-
-        The first estimate is shown as it is; so are None, not known, and 0, nothing left.
-        """
-        if not estimate or self._shown is None:
-            return estimate
-        expected = max(0.0, self._shown - passed)
-        return expected + (estimate - expected) * -math.expm1(-passed / SETTLING)
 
 
 def activity(figures: JobStatus, work: WorkersAtWork, *, has_begun: bool) -> str:

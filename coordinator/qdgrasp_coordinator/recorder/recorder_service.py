@@ -152,7 +152,7 @@ class RecorderService:
         """Fetch scene bundles one after the other; runs in the fetcher's thread."""
         for digest in digests:
             try:
-                payload = fetch_bundle(self._bus, self._job, digest)
+                payload = fetch_bundle(self._bus, self._keys.asset(digest))
             except (MessageError, Refused):
                 continue  # the coordinator is not there for this run now
             except BusError:

@@ -33,7 +33,7 @@ from qdgrasp_tools.campaign.summaries import campaign_summary
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.run_commands import check_not_stopped, echo_errors, resume_hint, run_job
 from qdgrasp_tools.local.progress import progress_display, progress_messages
-from qdgrasp_tools.local.supervisor import LocalJobConfig
+from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines
 
 
 @options.spec_flags("units", "mesh", "protocol", "engine", "evaluations", "grasps")
@@ -136,7 +136,7 @@ def campaign(
             check_meshes(asked.runs.values(), tell)
     count = options.worker_count(workers, *(spec.engine for spec in asked.runs.values()))
     config = LocalJobConfig(count, listen, security, insecure, seconds)
-    config.check_engines(asked.runs.values())
+    check_engines(asked.runs.values(), config.workers)
     extent = begin_campaign(path, asked, job)
     folder = JobFolder(path)
     with lifetime("qdgrasp campaign") as stop, progress_display(path.name, asked.evaluations) as shown:

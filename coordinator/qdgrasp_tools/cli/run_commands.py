@@ -36,7 +36,7 @@ from qdgrasp_tools.campaign.source_runs import WarmStart
 from qdgrasp_tools.campaign.summaries import run_summary
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import ProgressDisplay, progress_display, progress_messages
-from qdgrasp_tools.local.supervisor import LocalJobConfig, Supervisor
+from qdgrasp_tools.local.supervisor import LocalJobConfig, Supervisor, check_engines
 from qdgrasp_tools.report.row_report import genome_reader
 
 
@@ -113,7 +113,7 @@ def start_run(
     Raises InputError if hand or object differ from those of the scene `like`.
     """
     RunFolder.check_free(out)
-    config.check_engines([spec])
+    check_engines([spec], config.workers)
     echo(f"building the scene of {spec.gripper} and {spec.object}", err=True)
     with progress_messages() as tell:
         scene, bundle = run_plan.prepare_scene(spec, tell=tell)
@@ -191,7 +191,7 @@ def resume(
         return
     count = options.worker_count(workers, folder.spec.engine)
     config = LocalJobConfig(count, listen, security, insecure, seconds)
-    config.check_engines([folder.spec])
+    check_engines([folder.spec], config.workers)
     with (
         lifetime("qdgrasp resume") as stop,
         progress_display(directory.name, folder.spec.evaluations) as shown,

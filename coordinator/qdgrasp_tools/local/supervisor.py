@@ -63,15 +63,10 @@ class LocalJobConfig:
         """Flags of every process."""
         return ["--security", str(self.security)] if self.security else []
 
-    def check_engines(self, specs: Iterable[RunSpec]) -> None:
-        """Raise an InputError if workers start here and lack the engine or the device of a run."""
-        if self.workers:
-            check_engines(specs)
 
-
-def check_engines(specs: Iterable[RunSpec]) -> None:
-    """Raise an InputError if workers that start here lack the engine or the device of a run."""
-    for spec in specs:
+def check_engines(specs: Iterable[RunSpec], workers: int = 1) -> None:
+    """Raise an InputError if workers start here, and lack the engine or the device of a run."""
+    for spec in specs if workers else ():
         check_engine(spec.engine)
         if spec.engine == DEVICE_ENGINE and not os.environ.get(DEVICE_VARIABLE):
             raise InputError(

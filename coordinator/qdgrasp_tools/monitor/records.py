@@ -20,7 +20,7 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.success_pages import SuccessTable, page_from_message
 from qdgrasp_protocol import messages
-from qdgrasp_protocol.bus import Bus, fetch_bundle_from
+from qdgrasp_protocol.bus import Bus, fetch_bundle
 from qdgrasp_protocol.errors import FolderError, UnknownName
 from qdgrasp_protocol.keys import NAME, Keys
 from qdgrasp_protocol.messages import SuccessPage
@@ -126,8 +126,7 @@ class BusRecords:
 
     def scene(self, job: str, run: str, digest: str) -> Scene:
         """Unpack the bundle that the recorder has."""
-        key = Keys(job).recorded_asset(digest)
-        return unpack_scene(fetch_bundle_from(self._bus, key, digest))
+        return unpack_scene(fetch_bundle(self._bus, Keys(job).recorded_asset(digest)))
 
     def page(self, job: str, run: str, first: int) -> RecordPage:
         """Return one answer of the recorder."""

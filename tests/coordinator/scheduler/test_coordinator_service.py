@@ -37,9 +37,9 @@ def test_scenes_of_runs_in_progress_are_handed_out_and_no_others() -> None:
     with FakeWorker(job.network.session(), FAY, answers=False).at_work() as idle, job.serving():
         assert idle.kept.wait(PATIENCE)
         scene = b"run-0" * 100
-        assert fetch_bundle(other, JOB, hashlib.sha256(scene).hexdigest()) == scene
+        assert fetch_bundle(other, Keys(JOB).asset(hashlib.sha256(scene).hexdigest())) == scene
         with pytest.raises(Refused, match="no run in progress has the scene"):
-            fetch_bundle(other, JOB, "0" * 64)
+            fetch_bundle(other, Keys(JOB).asset("0" * 64))
 
 
 def test_a_full_disk_is_waited_for_and_no_run_fails_for_it() -> None:

@@ -14,7 +14,7 @@ from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListings, 
 from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.bus import fetch_bundle_from
+from qdgrasp_protocol.bus import fetch_bundle
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
@@ -116,7 +116,7 @@ def test_a_scene_is_shown_from_the_folder_of_its_run(network, coordinator, path)
     RunFolder.create(path, SPEC, BUNDLE, job=JOB)
     with recording(network, path), network.session() as bus:
         coordinator.open()
-        assert fetch_bundle_from(bus, KEYS.recorded_asset(BUNDLE.digest), BUNDLE.digest) == SCENE
+        assert fetch_bundle(bus, KEYS.recorded_asset(BUNDLE.digest)) == SCENE
         with pytest.raises(Refused, match="no run here has the scene 000000000000"):
             bus.ask(KEYS.recorded_asset("0" * 64), parameters="i=0")
 

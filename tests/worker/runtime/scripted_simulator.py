@@ -17,7 +17,7 @@ from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.messages import Work
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluation
-from qdgrasp_worker.runtime.simulator_main import REPORT_INTERVAL, main
+from qdgrasp_worker.runtime.simulator_main import LIMITS, REPORT_INTERVAL, main
 
 GENES = 2
 COMMAND = [sys.executable, "-m", "tests.worker.runtime.scripted_simulator"]
@@ -131,7 +131,7 @@ class ScriptedEvaluator:
     def evaluate(self, prior: str, genomes: np.ndarray, trials: np.ndarray) -> Evaluation:
         rows = SHAPE.empty(len(genomes))
         for row, (number, deed) in zip(rows, genomes, strict=True):
-            for log in sys.argv[1:]:
+            for log in sys.argv[1:-LIMITS]:
                 with Path(log).open("a") as file:
                     file.write(f"{number:.0f}\n")
             DEEDS[int(deed)]()

@@ -29,7 +29,7 @@ from tests.worker.runtime.scripted_simulator import (
 from qdgrasp_assets.process_limits import PROBE_SECONDS, STALL_FACTOR
 from qdgrasp_protocol.messages import Result, Work
 from qdgrasp_worker.runtime import simulator_supervisor
-from qdgrasp_worker.runtime.simulator_messages import BatchProgress, SimulatorSettings
+from qdgrasp_worker.runtime.simulator_messages import BatchProgress
 from qdgrasp_worker.runtime.simulator_supervisor import (
     NoSimulator,
     SimulatorClient,
@@ -54,14 +54,13 @@ class Supervision:
     def __init__(self, command: list[str], row_seconds: float = PATIENCE) -> None:
         self.inbox: SimpleQueue[SimulatorEvent] = SimpleQueue()
         self.started: list[SimulatorClient] = []
-        self.command = command
-        self.settings = SimulatorSettings(row_seconds=row_seconds, memory=900 * MEGABYTE, nice=0)
+        self.command = [*command, str(row_seconds), str(900 * MEGABYTE), "0"]
         self.supervisor = SimulatorSupervisor(self.start, row_seconds=row_seconds, memory=250 * MEGABYTE)
         self.done: list[Result] = []
         self.lost: list[BatchProgress] = []
 
     def start(self) -> SimulatorClient:
-        self.started.append(SimulatorClient(self.command, self.settings, self.inbox.put))
+        self.started.append(SimulatorClient(self.command, self.inbox.put))
         return self.started[-1]
 
     def begin(self) -> None:

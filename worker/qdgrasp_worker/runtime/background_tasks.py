@@ -70,7 +70,7 @@ class BackgroundRequests:
 
     def fetch(self, job: str, scene: str) -> None:
         """Get a scene from a coordinator."""
-        bundle = partial(fetch_bundle, self._bus, job, scene)
+        bundle = partial(fetch_bundle, self._bus, Keys(job).asset(scene))
         start(lambda: self._report(SceneAnswered(job, scene, result_or_error(bundle))))
 
 
@@ -164,7 +164,7 @@ class BuilderClient:
                 for file in build.task.files:
                     path = Path(folder) / "files" / file.name
                     path.parent.mkdir(parents=True, exist_ok=True)
-                    path.write_bytes(fetch_bundle(self._bus, job, file.sha256))
+                    path.write_bytes(fetch_bundle(self._bus, Keys(job).asset(file.sha256)))
                 return self._build(job, build, Path(folder))
         except (QdgraspError, MemoryError, OSError) as error:
             reason = str(getattr(error, "strerror", None) or error)

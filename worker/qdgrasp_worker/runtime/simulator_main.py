@@ -1,8 +1,9 @@
 """The simulator's process: evaluates its worker's batches, and may crash.
 
 It holds the physics engines and no session on the bus. Started as `python -m
-qdgrasp_worker.runtime.simulator_main`, with name and worlds of a device where there is one, and the pipe to
-its worker as standard input; all prints go to standard error.
+qdgrasp_worker.runtime.simulator_main`, with name and worlds of a device where there is one, then its limits
+(CPU seconds of a row, or of a slice of rows; bytes of memory; niceness), and the pipe to its worker as
+standard input; all prints go to standard error.
 """
 
 import sys
@@ -10,7 +11,6 @@ import time
 from collections.abc import Callable
 from functools import partial
 from multiprocessing.connection import Connection
-from typing import TypeVar
 
 from setproctitle import setproctitle
 
@@ -31,14 +31,12 @@ from qdgrasp_worker.runtime.simulator_messages import (
     SceneLoaded,
     SceneMissing,
     SimulatorCrashed,
-    SimulatorMessage,
     SimulatorReady,
-    SimulatorSettings,
 )
 
+LIMITS = 3  # Number of arguments that are limits, the last ones
 REPORT_INTERVAL = 0.1  # Seconds between two parts of a batch, at least
 WORK_COLUMNS = [column for column in COLUMNS if column.name in ("index", "trial", "genome")]
-M = TypeVar("M", bound=SimulatorMessage)
 LoadEvaluator = Callable[[bytes], BatchEvaluator]  # Makes an evaluator of a scene's bundle
 ProbePlatform = Callable[[], dict[str, str]]  # Returns the platform, which decides the bits of results
 
@@ -121,16 +119,16 @@ def load_scene(bundle: bytes, device: Device | None = None) -> BatchEvaluator:
 
 def serve(connection: MessageConnection, load: LoadEvaluator, probe: ProbePlatform) -> None:
     """Evaluate the probes, and then the batches that come, until the pipe is closed."""
-    settings = _receive(connection, SimulatorSettings)
-    if settings is None:
-        return
-    process_limits.limit_memory(settings.memory)
-    process_limits.lower_priority(settings.nice)
-    with process_limits.time_limit(max(process_limits.PROBE_SECONDS, settings.row_seconds)):
+    row_seconds, memory, nice = sys.argv[-LIMITS:]
+    process_limits.limit_memory(int(memory))
+    process_limits.lower_priority(int(nice))
+    with process_limits.time_limit(max(process_limits.PROBE_SECONDS, float(row_seconds))):
         found = probe()
     connection.send(SimulatorReady(platform=found))
-    simulator = SimulatorMain(connection, settings.row_seconds, load)
-    while (request := _receive(connection, EvaluateRows)) is not None:
+    simulator = SimulatorMain(connection, float(row_seconds), load)
+    while (request := connection.receive()) is not None:
+        if not isinstance(request, EvaluateRows):
+            raise MessageError(f"expected rows to evaluate, got {type(request).__name__}")
         simulator.evaluate(request)
 
 
@@ -148,13 +146,6 @@ def main(load: LoadEvaluator = load_scene, probe: ProbePlatform = platform) -> N
         sys.exit(1)
 
 
-def _receive(connection: MessageConnection, kind: type[M]) -> M | None:
-    message = connection.receive()
-    if not (message is None or isinstance(message, kind)):
-        raise MessageError(f"expected {kind.__name__}, got {type(message).__name__}")
-    return message
-
-
 if __name__ == "__main__":
-    asked = Device(sys.argv[1], int(sys.argv[2])) if len(sys.argv) > 1 else None
+    asked = Device(sys.argv[1], int(sys.argv[2])) if sys.argv[1:-LIMITS] else None
     main(partial(load_scene, device=asked), partial(platform, asked))

@@ -21,17 +21,6 @@ class SimulatorMessage(Struct, frozen=True, kw_only=True, tag=True, forbid_unkno
     """The root of all messages."""
 
 
-class SimulatorSettings(SimulatorMessage, frozen=True, kw_only=True):
-    """Worker to simulator, first of all: its limits."""
-
-    row_seconds: float
-    """CPU seconds that a row, or a slice of rows, may take."""
-    memory: int
-    """Memory that it may allocate [bytes]."""
-    nice: int
-    """Niceness of its process, 0 to 19."""
-
-
 class EvaluateRows(SimulatorMessage, frozen=True, kw_only=True):
     """Worker to simulator: evaluate rows of a batch."""
 
@@ -89,8 +78,7 @@ class SimulatorCrashed(SimulatorMessage, frozen=True, kw_only=True):
 
 
 AnySimulatorMessage: TypeAlias = (
-    SimulatorSettings
-    | EvaluateRows
+    EvaluateRows
     | SimulatorReady
     | SceneLoaded
     | PartialResult

@@ -42,7 +42,6 @@ from qdgrasp_worker.runtime.simulator_messages import (
     SimulatorCrashed,
     SimulatorMessage,
     SimulatorReady,
-    SimulatorSettings,
 )
 
 STANDARD_ERROR = 2
@@ -76,9 +75,7 @@ class SimulatorClient:
     Its events are reported in the reading thread.
     """
 
-    def __init__(
-        self, command: Sequence[str], settings: SimulatorMessage, report: Callable[[SimulatorEvent], None]
-    ) -> None:
+    def __init__(self, command: Sequence[str], report: Callable[[SimulatorEvent], None]) -> None:
         ours, its = Pipe()
         with its:
             self._process = subprocess.Popen(
@@ -88,7 +85,6 @@ class SimulatorClient:
         self._pipe = MessageConnection(ours)
         self._report = report
         self._outbox: SimpleQueue[SimulatorMessage | None] = SimpleQueue()
-        self.send(settings)
         for work in (self._read, self._write):
             threading.Thread(target=work, name="simulator", daemon=True).start()
 
@@ -223,10 +219,9 @@ class SimulatorSupervisor:
         command: Sequence[str] = SIMULATOR_COMMAND,
     ) -> Self:
         """A supervisor of simulators in processes, the first of which starts now."""
-        settings = SimulatorSettings(
-            row_seconds=row_seconds, memory=round(MEMORY_HEADROOM * memory), nice=nice
-        )
-        return cls(lambda: SimulatorClient(command, settings, report), row_seconds=row_seconds, memory=memory)
+        limits = map(str, (row_seconds, round(MEMORY_HEADROOM * memory), nice))
+        limited = [*command, *limits]
+        return cls(lambda: SimulatorClient(limited, report), row_seconds=row_seconds, memory=memory)
 
     def __enter__(self) -> Self:
         return self
