@@ -18,7 +18,7 @@ from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
 from qdgrasp_coordinator.metrics.success_metrics import cell_growth, reference_growth
 from qdgrasp_coordinator.metrics.successes import Successes, all_successes
-from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.scheduler.run_plan import full_spec, row_shape
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.registry import BuildSearch, method, prior_of
@@ -135,9 +135,8 @@ def run(spec: RunSpec, build: BuildSearch | None = None, *, shakes: bool = True)
     prior = prior_of(spec)
     scene = build_scene(spec)
     search = TimedSearch((build or method(spec.method).build)(spec, search_space(scene, prior)))
-    flight, more = Flight.of(spec), spec.trial_count
     shape = row_shape(scene, prior)
-    pipeline = Pipeline(search, shape, spec.evaluations, spec.overlaps, flight, more)
+    pipeline = Pipeline(search, shape, spec)
     with Evaluator(scene) as evaluator:
         if not shakes:
             evaluator._protocol = replace(evaluator._protocol, shakes=())

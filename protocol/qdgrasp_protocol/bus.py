@@ -273,7 +273,7 @@ def _place(query: Query, size: int) -> tuple[int, int]:
 
 
 def fetch_bundle(bus: Bus, key: str) -> bytes:
-    """All bytes of a bundle, from the process that answers on `key`, whose last chunk is its digest.
+    """All bytes of a bundle, from the process that answers on `key`, which ends with its digest.
 
     NoReply or Refused if there is no such scene, TooLarge if it cannot be one, a MessageError if what came is
     not the scene of that digest.

@@ -2,9 +2,10 @@
 
 from collections import deque
 
-from qdgrasp_coordinator.scheduler.pipeline import Flight
+from qdgrasp_coordinator.scheduler.pipeline import most_in_flight
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_protocol.rows import Genomes, Rows
+from qdgrasp_protocol.spec import RunSpec
 
 
 class InvariantViolated(AssertionError):
@@ -18,16 +19,16 @@ class InvariantViolated(AssertionError):
 class CheckedSearch:
     """A search that insists on the order in which it is asked and told, with as many in flight as are due."""
 
-    def __init__(self, search: SearchAlgorithm, flight: Flight) -> None:
+    def __init__(self, search: SearchAlgorithm, spec: RunSpec) -> None:
         self._search = search
-        self._flight = flight
+        self._spec = spec
         self._asked: deque[int] = deque()
         """Numbers of genomes of the generations that are asked and not told."""
         self._told = 0
 
     def ask(self, generation: int) -> Genomes:
         """A generation is asked while fewer are in flight than are due after those that were told."""
-        most = self._flight.after(self._told)
+        most = most_in_flight(self._spec, self._told)
         is_next = generation == self._told + len(self._asked) and len(self._asked) < most
         if not is_next:
             raise InvariantViolated("told in order", f"asked {generation} with {self._told} told")

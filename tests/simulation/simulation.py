@@ -22,7 +22,7 @@ from qdgrasp_coordinator.recorder.recorder import Recorder
 from qdgrasp_coordinator.scheduler import batch_dispatcher, recorder_client
 from qdgrasp_coordinator.scheduler.batch_dispatcher import Lease, SettleReply, ShapeBuild
 from qdgrasp_coordinator.scheduler.batch_queue import RunRef
-from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox, RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import BuildReply, RunPlan
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
@@ -189,13 +189,9 @@ class Simulation:
         """A run, with a new search."""
         plan, digest = self.plans[run], hashlib.sha256(run.encode()).hexdigest()
         spec = RunSpec(gripper="hand", object="thing", seed=plan.seed, evaluations=plan.evaluations)
-        search, shape = (
-            CheckedSearch(plan.task.search(plan.population, plan.seed), plan.flight),
-            self.task.shape,
-        )
-        budget = (plan.evaluations, plan.overlaps, plan.flight, plan.trials)
-        pipeline = Pipeline(search, shape, *budget, plan.goals)
-        return RunPlan(run, spec, Bundle(b"", digest), "none", shape, pipeline)
+        search = CheckedSearch(plan.task.search(plan.population, plan.seed), plan.spec)
+        pipeline = plan.pipeline_of(search)
+        return RunPlan(run, spec, Bundle(b"", digest), "none", self.task.shape, pipeline)
 
     # Processes that have ended are started again.
 

@@ -14,7 +14,6 @@ from msgspec import Meta, Struct, field, structs
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import shorten
-from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 
 RUNS_PER_PAGE = 256  # The most entries in one answer
@@ -39,8 +38,9 @@ class RunListing(RunTotals, frozen=True, kw_only=True):
     finished: Annotated[str, "Why the run is over, in words; empty while it is not."] = ""
 
     @classmethod
-    def of(cls, run: str, spec: RunSpec, scene: str, counter: RunCounter) -> "RunListing":
-        """Return the listing of a run from its name, spec, scene and the counter of its rows."""
+    def of(cls, run: str, scene: str, counter: RunCounter) -> "RunListing":
+        """Return the listing of a run from its name, its scene and the counter of its rows."""
+        spec = counter.spec
         return RunListing(
             **structs.asdict(counter.totals),
             run=run,
@@ -50,7 +50,7 @@ class RunListing(RunTotals, frozen=True, kw_only=True):
             protocol=spec.protocol_words,
             seed=spec.seed,
             scene=scene,
-            budget=counter.budget,
+            budget=spec.evaluations,
             rows=counter.rows,
             outcomes=counter.outcomes,
             finished=counter.finished or "",

@@ -4,7 +4,7 @@ All counts are a function of the journal's rows in their order, so that a replay
 """
 
 from collections.abc import Iterable, Iterator
-from typing import Annotated, Self
+from typing import Annotated
 
 import numpy as np
 from msgspec import Struct
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.arrays import take_rows
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
-from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria, StopTracker, count_to_first
+from qdgrasp_coordinator.metrics.stop_criteria import StopTracker, count_to_first
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
@@ -111,8 +111,6 @@ NO_TOTALS = RunTotals(**dict.fromkeys(TOTAL_NAMES, 0))
 BARREN = 20  # Generations in a row without a counted row after which a run may end (`BARREN_GENOMES`)
 BARREN_GENOMES = 1000  # Least genomes in these generations: with few at a time, twenty may fail by chance
 
-BUDGET_ALONE = StopCriteria()
-
 
 def evaluation_mask(rows: Rows, overlaps: Overlaps) -> NDArray[np.bool_]:
     """Flag the rows that count as evaluations: (n,).
@@ -133,8 +131,8 @@ def success_mask(rows: Rows) -> NDArray[np.bool_]:
 class RunCounter:
     """Counts the rows of a journal in its order; outcomes are those of nominal rows.
 
-    The run is over after `budget` counted evaluations, or when a goal is reached, once each success has its
-    `trials`; `overlaps` says whether overlaps count as evaluations.
+    The run is over after its budget of counted evaluations, or when a goal is reached, once each success has
+    its trials.
     """
 
     rows: int = 0
@@ -143,16 +141,8 @@ class RunCounter:
     trials: int = 0
     errors: int = 0
 
-    def __init__(
-        self,
-        budget: int,
-        overlaps: Overlaps,
-        trials: int = 0,
-        goals: StopCriteria = BUDGET_ALONE,
-    ) -> None:
-        self.budget = budget
-        self._overlaps = overlaps
-        self._trials_each = trials
+    def __init__(self, spec: RunSpec) -> None:
+        self.spec = spec
         self._barren = 0
         self._before = 0
         self._nominal = 0
@@ -161,34 +151,29 @@ class RunCounter:
         self._trials_follow = False
         self._outcomes = [0] * len(Outcome)
         self._cells: set[int] = set()
-        self._tracker = StopTracker(goals)
+        self._tracker = StopTracker(spec)
         self._curve = CurveRecorder()
         self.finished = self._ending()
         """Reason why the run is over, in words; None while it is not."""
 
-    @classmethod
-    def of(cls, spec: RunSpec) -> Self:
-        """Return the counter of a run that has no rows yet."""
-        return cls(spec.evaluations, spec.overlaps, spec.trial_count, StopCriteria.of(spec))
-
-    def count_block(self, block: Rows, spec: RunSpec) -> None:
+    def count_block(self, block: Rows) -> None:
         """Count the next rows of a journal, and record where each generation ends.
 
         That of a program's own search ends where the next one begins, or the run is over.
         """
         for number in np.unique(block["generation"]):
             rows = block[block["generation"] == number]
-            if spec.has_own_search and self._last is not None and self._last["generation"] < number:
+            if self.spec.has_own_search and self._last is not None and self._last["generation"] < number:
                 self.end_generation()
             self.count(rows)
-            is_last = (rows["index"] == spec.population - 1) & (rows["trial"] == 0)
-            if self.finished if spec.has_own_search else is_last.any():
+            is_last = (rows["index"] == self.spec.population - 1) & (rows["trial"] == 0)
+            if self.finished if self.spec.has_own_search else is_last.any():
                 self.end_generation()
 
-    def counting(self, blocks: Iterable[Rows], spec: RunSpec) -> Iterator[Rows]:
+    def counting(self, blocks: Iterable[Rows]) -> Iterator[Rows]:
         """Yield the next rows of a journal, in blocks, each counted as it passes."""
         for block in blocks:
-            self.count_block(block, spec)
+            self.count_block(block)
             yield block
 
     def count(self, rows: Rows) -> None:
@@ -207,7 +192,7 @@ class RunCounter:
         self._tracker.count(rows)
         outcomes = np.bincount(rows["outcome"], minlength=len(Outcome)).tolist()
         self._outcomes = [sum(pair) for pair in zip(self._outcomes, outcomes, strict=True)]
-        self.evaluations += len(rows) if self._overlaps == "count" else sum(outcomes[Outcome.MISSED :])
+        self.evaluations += len(rows) if self.spec.overlaps == "count" else sum(outcomes[Outcome.MISSED :])
         self.proposals += int(rows["proposals"].sum(dtype=np.int64))
         found = rows["outcome"] >= Outcome.DROPPED
         self._cells.update(cell_keys(cells(rows["descriptor"][found, :3])).tolist())
@@ -254,7 +239,7 @@ class RunCounter:
     @property
     def left(self) -> int:
         """Counted evaluations that the budget still allows."""
-        return self.budget - self.evaluations
+        return self.spec.evaluations - self.evaluations
 
     @property
     def is_reached(self) -> bool:
@@ -268,12 +253,12 @@ class RunCounter:
         """
         if self.is_reached or not len(rows) or rows["trial"][0] > 0:
             return len(rows)
-        is_counted = evaluation_mask(rows, self._overlaps)
+        is_counted = evaluation_mask(rows, self.spec.overlaps)
         end = count_to_first(np.cumsum(is_counted) >= self.left)
         return min(end, self._tracker.rows_until_stop(rows))
 
-    def check_budget(self, spec: RunSpec, where: str = "evaluations") -> None:
-        """Check that the rows counted begin a journal of `spec`, which may have another budget.
+    def check_budget(self, where: str = "evaluations") -> None:
+        """Check that the rows counted begin a journal of this spec; they may be of another budget.
 
         Raises `ImpossibleValue`, which calls the budget `where`, if the rows go on after that budget or a
         goal, or if another budget or goal ended a generation early: then trials follow, where a greater
@@ -281,20 +266,20 @@ class RunCounter:
         """
         if self._last is None:
             return
-        is_counted = bool(evaluation_mask(self._last.reshape(1), self._overlaps)[0])
+        is_counted = bool(evaluation_mask(self._last.reshape(1), self.spec.overlaps)[0])
         least = self.evaluations + (not is_counted)
-        if spec.evaluations < least:
-            raise ImpossibleValue(where, spec.evaluations, f"at least {least}, which are recorded")
+        if self.spec.evaluations < least:
+            raise ImpossibleValue(where, self.spec.evaluations, f"at least {least}, which are recorded")
         self._tracker.check()
-        is_cut = self._trials_follow and self._last["index"] + 1 < spec.population
-        if is_cut and spec.evaluations > least and self._tracker.reached is None:
+        is_cut = self._trials_follow and self._last["index"] + 1 < self.spec.population
+        if is_cut and self.spec.evaluations > least and self._tracker.reached is None:
             expected = f"{least}: trials end the generation there, and only whole generations can be extended"
-            raise ImpossibleValue(where, spec.evaluations, expected)
+            raise ImpossibleValue(where, self.spec.evaluations, expected)
 
     def _ending(self) -> str | None:
-        has_all_trials = self.trials >= self._trials_each * sum(self._outcomes[Outcome.DROPPED :])
+        has_all_trials = self.trials >= self.spec.trial_count * sum(self._outcomes[Outcome.DROPPED :])
         if self.left <= 0 and has_all_trials:
-            return f"the budget of {self.budget} evaluations is spent"
+            return f"the budget of {self.spec.evaluations} evaluations is spent"
         if self._tracker.reached is not None and has_all_trials:
             return self._tracker.reached
         genomes = self._nominal - self._fruitful
@@ -305,7 +290,7 @@ class RunCounter:
 
 def count_rows(spec: RunSpec, blocks: Iterable[Rows]) -> RunCounter:
     """Return the counter of a journal's rows, in their order, in blocks of any length."""
-    counter = RunCounter.of(spec)
-    for _ in counter.counting(blocks, spec):
+    counter = RunCounter(spec)
+    for _ in counter.counting(blocks):
         pass
     return counter

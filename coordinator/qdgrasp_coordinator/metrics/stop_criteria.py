@@ -6,7 +6,6 @@ seconds differ from one run of a spec to the next; simulated evaluations stand f
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,35 +24,14 @@ WINDOW = 1000  # Simulated evaluations whose rate of new niches is held against 
 DIGITS = 10_000  # A share in an error is rounded down to a fraction of this
 
 
-@dataclass(frozen=True)
-class StopCriteria:
-    """Criteria that end a run before its budget is spent; None: no such criterion."""
-
-    grasps: int | None = None
-    """Nominal grasps after which it ends."""
-    saturation: float | None = None
-    """Rate of new niches lately, over that of the whole run, at which it ends."""
-    by_orientation: bool = False
-    """Whether the niches of that rate are orientations in cells, in place of cells."""
-    window: int = WINDOW
-    """Number of the simulated evaluations that are meant by lately."""
-
-    @classmethod
-    def of(cls, spec: RunSpec) -> "StopCriteria":
-        """Return the goals of a run."""
-        share = spec.saturation or None
-        by_orientation = share is not None and spec.diversity in ("orientation", "posture")
-        return cls(spec.grasps, share, by_orientation)
-
-
 class StopTracker:
-    """Progress of a run towards its goals."""
+    """Progress of a run towards the goals of its spec: grasps, and a saturation other than 0."""
 
-    def __init__(self, goals: StopCriteria) -> None:
-        self._goals = goals
+    def __init__(self, spec: RunSpec) -> None:
+        self._least_grasps, self._saturation = spec.grasps, spec.saturation or None
         self._grasps = 0
         self._last = Outcome.ERROR  # of the last row
-        self._rate = NicheRate(goals.window, by_orientation=goals.by_orientation)
+        self._rate = NicheRate(by_orientation=spec.diversity in ("orientation", "posture"))
 
     def count(self, rows: Rows) -> None:
         """Count the next nominal rows (n,)."""
@@ -61,37 +39,37 @@ class StopTracker:
             return
         self._grasps += int(np.count_nonzero(rows["outcome"] >= Outcome.SHAKEN))
         self._last = Outcome(rows["outcome"][-1])
-        if self._goals.saturation is not None:
+        if self._saturation is not None:
             self._rate.count(rows)
 
     @property
     def reached(self) -> str | None:
         """The goal that is reached, in words; None: no goal is."""
-        if self._goals.grasps is not None and self._grasps >= self._goals.grasps:
-            return f"{self._goals.grasps} grasps are found"
-        if self._goals.saturation is not None and self._rate.share <= self._goals.saturation:
-            return f"it is saturated: the last {self._goals.window} simulated evaluations found little new"
+        if self._least_grasps is not None and self._grasps >= self._least_grasps:
+            return f"{self._least_grasps} grasps are found"
+        if self._saturation is not None and self._rate.share <= self._saturation:
+            return f"it is saturated: the last {self._rate.window} simulated evaluations found little new"
         return None
 
     def rows_until_stop(self, rows: Rows) -> int:
         """Count the next nominal rows (n,) up to the first that reaches a goal; else all."""
         ends = [len(rows)]
-        if self._goals.grasps is not None:
+        if self._least_grasps is not None:
             found = self._grasps + np.cumsum(rows["outcome"] >= Outcome.SHAKEN)
-            ends.append(count_to_first(found >= self._goals.grasps))
-        if self._goals.saturation is not None:
-            ends.append(count_to_first(self._rate.shares(rows) <= self._goals.saturation))
+            ends.append(count_to_first(found >= self._least_grasps))
+        if self._saturation is not None:
+            ends.append(count_to_first(self._rate.shares(rows) <= self._saturation))
         return min(ends)
 
     def check(self) -> None:
         """Raise `ImpossibleValue` if a goal was reached before the last row that was counted."""
         least = self._grasps + (not self._last.is_grasp)
-        if self._goals.grasps is not None and self._goals.grasps < least:
-            raise ImpossibleValue("grasps", self._goals.grasps, f"at least {least}, which are recorded")
-        if self._goals.saturation is not None and self._goals.saturation >= self._rate.least:
+        if self._least_grasps is not None and self._least_grasps < least:
+            raise ImpossibleValue("grasps", self._least_grasps, f"at least {least}, which are recorded")
+        if self._saturation is not None and self._saturation >= self._rate.least:
             bound = math.floor(self._rate.least * DIGITS) / DIGITS
             raise ImpossibleValue(
-                "saturation", self._goals.saturation, f"less than {bound}: so small a share is recorded"
+                "saturation", self._saturation, f"less than {bound}: so small a share is recorded"
             )
 
 
@@ -99,15 +77,15 @@ class NicheRate:
     """Rate of new niches with a grasp: over the last simulated evaluations, and over all.
 
     The share of the one in the other falls as an object is saturated, and not where grasps are rare from the
-    beginning. The last `window` evaluations are taken to have found one niche more: of few, chance decides.
+    beginning. The last `WINDOW` evaluations are taken to have found one niche more: of few, chance decides.
     """
 
-    def __init__(self, window: int, *, by_orientation: bool) -> None:
+    def __init__(self, *, by_orientation: bool) -> None:
         self.share = math.inf
         """Share at the last row; infinite while the run is shorter than the window."""
         self.least = math.inf
         """Least share before the last row."""
-        self._window = window
+        self.window = WINDOW
         self._by_orientation = by_orientation
         self._niches: set[tuple[int, int]] = set()  # Cell and orientation bin of each; 0 without these
         self._simulated = 0
@@ -119,19 +97,19 @@ class NicheRate:
         self.least = min(self.least, self.share, float(shares[:-1].min(initial=math.inf)))
         self.share = float(shares[-1])
         is_simulated = rows["outcome"] >= Outcome.MISSED
-        self._history = self._extended_history(rows, first)[-self._window :]
+        self._history = self._extended_history(rows, first)[-self.window :]
         self._simulated += int(np.count_nonzero(is_simulated))
         self._niches |= first.keys()
 
     def shares(self, rows: Rows) -> Floats:
         """Share at each of the next nominal rows: (n,)."""
         history, known = self._extended_history(rows, self._first_of_niche(rows)), len(self._history)
-        ends = np.arange(max(known, self._window), len(history))
+        ends = np.arange(max(known, self.window), len(history))
         simulated = self._simulated + 1 + ends - known
         shares = np.full(len(history), math.inf)
         shares[known - 1] = self.share
-        found = history[ends] - history[ends - self._window]
-        shares[ends] = (found + 1) * simulated / (self._window * np.maximum(history[ends], 1))
+        found = history[ends] - history[ends - self.window]
+        shares[ends] = (found + 1) * simulated / (self.window * np.maximum(history[ends], 1))
         latest: Floats = shares[known - 1 + np.cumsum(rows["outcome"] >= Outcome.MISSED)]
         return latest
 

@@ -86,7 +86,7 @@ class RunWriter:
             return
         try:
             rows = chain(self.journal.blocks(), (part.rows for part in self._waiting))
-            count_rows(spec, rows).check_budget(spec)
+            count_rows(spec, rows).check_budget()
         except ImpossibleValue as reason:
             raise InputError(f"{self._folder.path} cannot end as is asked: {reason}") from None
 
@@ -121,18 +121,17 @@ class RunWriter:
 
     def _count(self, rows: Rows) -> None:
         """Count rows that were just committed, and those before them if they were not."""
-        spec = self.identity.spec
         if self._counter is None:
-            self._counter = count_rows(spec, self.journal.blocks())
+            self._counter = count_rows(self.identity.spec, self.journal.blocks())
         else:
-            self._counter.count_block(rows, spec)
+            self._counter.count_block(rows)
 
     @property
     def finished(self) -> RunListing | None:
         """The listing of a run whose last row was committed here; None: it was not."""
         if self._counter is None or self._counter.finished is None:
             return None
-        return RunListing.of(self.identity.run, self.identity.spec, self.identity.scene, self._counter)
+        return RunListing.of(self.identity.run, self.identity.scene, self._counter)
 
     def forget_waiting(self, epoch: int) -> None:
         """Drop the rows that wait: another coordinator's epoch begins."""

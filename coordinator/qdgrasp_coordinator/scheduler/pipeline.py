@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.arrays import join_rows, row_bytes, take_rows
-from qdgrasp_coordinator.metrics.run_stats import BUDGET_ALONE, RunCounter
-from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
+from qdgrasp_coordinator.metrics.run_stats import RunCounter
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_protocol.errors import ReplayError
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import Overlaps, RunSpec
+from qdgrasp_protocol.spec import RunSpec
 
 MOST_FINAL = 4096  # The most rows that become final at once
 Places = NDArray[np.int64]  # (n,): indices, or trials, of rows
@@ -206,60 +205,33 @@ def _count_before_gap(is_present: NDArray[np.bool_]) -> int:
 GROWTH = 8  # Told generations for each further one in flight
 
 
-@dataclass(frozen=True)
-class Flight:
-    """Number of generations that are asked and not told, as a function of those told."""
+def most_in_flight(spec: RunSpec, told: int) -> int:
+    """Return how many generations may be in flight, asked and not told, after `told` ones.
 
-    first: int = 1
-    """Number in the beginning."""
-    most: int = 0
-    """Greatest number later, if that is more."""
-
-    @classmethod
-    def of(cls, spec: RunSpec) -> "Flight":
-        """Return the numbers of a spec."""
-        return cls(spec.generations_in_flight, (spec.in_flight or 0) // spec.population)
-
-    def after(self, told: int) -> int:
-        """Return the number when `told` generations were told.
-
-        It grows with these, so that a genome is made without the results of `first` generations and of about
-        a `GROWTH`-th of all told ones.
-        """
-        return max(self.first, min(self.most, self.first + told // GROWTH))
-
-
-ONE_GENERATION = Flight()
+    Where the spec has them become more, a genome is made without the results of `generations_in_flight`
+    generations and of about a `GROWTH`-th of all told ones.
+    """
+    first, most = spec.generations_in_flight, (spec.in_flight or 0) // spec.population
+    return max(first, min(most, first + told // GROWTH))
 
 
 class Pipeline:
     """Orders the asks and tells of one search.
 
-    A generation is asked of the search at the moment when fewer are in flight than `flight` has after those
-    that were told, neither earlier nor later, so that a slow coordinator asks the same genomes as a fast one;
+    A generation is asked of the search at the moment when fewer are in flight than may be after those that
+    were told, neither earlier nor later, so that a slow coordinator asks the same genomes as a fast one;
     `ask` only hands out what is there. Nothing has been asked of the search before.
 
-    The run ends with the nominal row that reaches the budget, `evaluations`, in journal order, and the trials
-    of its generation's rows up to that one. Later rows of that generation are not journalled, and that
-    generation is not told. `goals` end the run earlier in the same way. Each nominal success has `trials`.
+    The run ends with the nominal row that reaches the budget in journal order, and the trials of its
+    generation's rows up to that one. Later rows of that generation are not journalled, and that generation is
+    not told. The spec's goals end the run earlier in the same way.
     """
 
-    def __init__(
-        self,
-        search: SearchAlgorithm,
-        shape: RowShape,
-        evaluations: int,
-        overlaps: Overlaps,
-        flight: Flight = ONE_GENERATION,
-        trials: int = 0,
-        goals: StopCriteria = BUDGET_ALONE,
-    ) -> None:
-        self.tally = RunCounter(evaluations, overlaps, trials, goals)
+    def __init__(self, search: SearchAlgorithm, shape: RowShape, spec: RunSpec) -> None:
+        self.tally = RunCounter(spec)
         self._search = search
         self._shape = shape
-        self._overlaps = overlaps
-        self._trials = trials
-        self._flight = flight
+        self._spec = spec
         self._open: deque[GenerationBuffer] = deque()
         self._asked = 0
         self._cpu_seconds = 0.0
@@ -351,14 +323,15 @@ class Pipeline:
         """Ask for the generations that may be in flight now, unless the budget is sure to be spent."""
         # The search is asked here alone, at a moment that depends on tells and not on time: genomes are
         # then a function of the spec, however late rows come or workers fetch them.
-        while len(self._open) < self._flight.after(told):
+        counts_overlaps = self._spec.overlaps == "count"
+        while len(self._open) < most_in_flight(self._spec, told):
             needed = self.tally.left
-            if self._overlaps == "count":
+            if counts_overlaps:
                 needed -= sum(buffer.missing for buffer in self._open)
             if needed <= 0 or not len(genomes := self._search.ask(self._asked)):
                 return
-            limit = needed if self._overlaps == "count" else len(genomes)
-            self._open.append(GenerationBuffer(self._asked, genomes, self._shape, limit, self._trials))
+            limit, trials = needed if counts_overlaps else len(genomes), self._spec.trial_count
+            self._open.append(GenerationBuffer(self._asked, genomes, self._shape, limit, trials))
             self._asked += 1
 
     def _failures(self, rows: Rows) -> tuple[Failure, ...]:

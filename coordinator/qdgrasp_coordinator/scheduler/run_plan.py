@@ -18,8 +18,7 @@ from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.object_shape import ObjectShape
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
-from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
-from qdgrasp_coordinator.scheduler.pipeline import Flight, Generation, Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch, check_spec_poses
 from qdgrasp_coordinator.search.registry import check_spec, learns_value, method, prior_of
@@ -38,12 +37,13 @@ CompareRow = Callable[[int, np.void, str], None]
 class ReevaluationPlan:
     """Recorded rows that are evaluated once more; no row becomes final.
 
-    They are `recorded` in any order: (n,). Each travels under another key: generation 0, its place among the
-    recorded rows as index, and its trial. `compare` is called once for each row.
+    They are `recorded` in any order, by a run of a spec: (n,). Each travels under another key: generation 0,
+    its place among the recorded rows as index, and its trial. `compare` is called once for each row.
     """
 
-    def __init__(self, recorded: Rows, compare: CompareRow) -> None:
-        self.tally = RunCounter(len(recorded), "count")  # Rows evaluated so far; trials count as evaluations
+    def __init__(self, spec: RunSpec, recorded: Rows, compare: CompareRow) -> None:
+        self.tally = RunCounter(_spec_of_all(spec, len(recorded)))
+        """Rows evaluated so far; trials count as evaluations."""
         self._recorded = recorded
         self._compare = compare
         self._is_due = True
@@ -76,6 +76,11 @@ class ReevaluationPlan:
 
     def replay(self, rows: Rows) -> None:
         """Do nothing: no row is recorded."""
+
+
+def _spec_of_all(spec: RunSpec, rows: int) -> RunSpec:
+    """Return the spec of a run that ends when so many rows were evaluated."""
+    return structs.replace(spec, evaluations=rows, overlaps="count", grasps=None, saturation=None)
 
 
 EvaluationPlan = Pipeline | ReevaluationPlan
@@ -331,10 +336,7 @@ def plan_run(
     if search is None:
         check_spec_poses(spec, prepared.scene.gripper, row_shape(prepared.scene, prior_of(spec)).genes)
         search = method(spec.method).build(spec, search_space(prepared.scene, prior_of(spec)))
-    budget = (spec.evaluations, spec.overlaps, Flight.of(spec), spec.trial_count)
-    return RunPlan.of(
-        spec, prepared, lambda shape: Pipeline(search, shape, *budget, StopCriteria.of(spec)), run=run
-    )
+    return RunPlan.of(spec, prepared, lambda shape: Pipeline(search, shape, spec), run=run)
 
 
 GENOMES_AT_ONCE = 4096  # Given genomes of a generation; two generations are handed out ahead of results
@@ -344,14 +346,9 @@ def plan_genomes(
     spec: RunSpec, prepared: PreparedScene, prior: str, genomes: Genomes, run: str = RUN
 ) -> RunPlan:
     """Return a run that evaluates given genomes (n, d) of a prior, each once, in their order."""
-    search, budget = FixedPoseSearch(genomes, GENOMES_AT_ONCE), len(genomes)
-    return RunPlan.of(
-        spec,
-        prepared,
-        lambda shape: Pipeline(search, shape, budget, "count", Flight(2), spec.trial_count),
-        prior,
-        run,
-    )
+    search = FixedPoseSearch(genomes, GENOMES_AT_ONCE)
+    whole = structs.replace(_spec_of_all(spec, len(genomes)), generations_in_flight=2, in_flight=None)
+    return RunPlan.of(spec, prepared, lambda shape: Pipeline(search, shape, whole), prior, run)
 
 
 def row_shape(scene: Scene, prior: str) -> RowShape:

@@ -70,7 +70,7 @@ class ActiveRun:
     @property
     def remaining(self) -> int:
         """Counted evaluations that it may still take; 0 once it is over."""
-        return 0 if self.pipeline.finished else max(0, self.tally.budget - self.tally.evaluations)
+        return 0 if self.pipeline.finished else max(0, self.tally.left)
 
     @property
     def is_done(self) -> bool:
@@ -80,7 +80,7 @@ class ActiveRun:
     def status(self, workers: int, now: float) -> RunStatus:
         """Return the run's figures; `workers` are those of the job."""
         seconds = now - self._began
-        listing = RunListing.of(self.name, self.plan.spec, self.plan.bundle.digest, self.tally)
+        listing = RunListing.of(self.name, self.plan.bundle.digest, self.tally)
         counts = structs.asdict(listing) | {"finished": self.pipeline.finished or ""}
         return RunStatus(
             **counts,
@@ -348,7 +348,7 @@ class RunRegistry:
     def add(self, run: ActiveRun) -> None:
         """Add an opened run."""
         self._open[run.name] = run
-        self._budgets.setdefault(run.name, run.tally.budget)  # of a queue that grows
+        self._budgets.setdefault(run.name, run.tally.spec.evaluations)  # of a queue that grows
         self._replayed += run.replayed
         self._keep_scene(run.plan.bundle)
 
@@ -389,7 +389,7 @@ class RunRegistry:
         troubles = [self._loader.trouble if self.is_loading else "", *(run.sink.trouble for run in runs)]
         found = sum((run.tally.totals for run in runs), self._found)
         replayed = self._replayed + sum(run.replayed for run in opening)
-        spent = sum(run.tally.budget - run.remaining for run in runs)
+        spent = sum(run.tally.spec.evaluations - run.remaining for run in runs)
         seconds = now - self._began
         return JobStatus(
             **others,

@@ -59,7 +59,7 @@ def extend_run(folder: RunFolder, **goals: float) -> None:
     spec = run_spec(to_values(folder.spec) | goals, "resume")
     check_spec(spec)
     with folder.journal() as journal:
-        count_rows(spec, journal.blocks()).check_budget(spec, "--evaluations")
+        count_rows(spec, journal.blocks()).check_budget("--evaluations")
     folder.rewrite_spec(spec)
 
 
@@ -89,10 +89,10 @@ def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
         with folder.journal() as journal:
             try:
                 found = count_rows(spec, journal.blocks())
-                found.check_budget(spec)
+                found.check_budget()
             except ImpossibleValue as reason:
                 raise InputError(f"{folder.path} cannot end as is asked: {reason}") from None
-            return RunListing.of(journal.run, spec, journal.scene, found)
+            return RunListing.of(journal.run, journal.scene, found)
     except FolderError:
         return None
 

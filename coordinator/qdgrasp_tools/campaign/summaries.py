@@ -115,15 +115,15 @@ def run_summary(folder: RunFolder) -> RunSummary:
     """Count what is in a run's folder, also while the run goes on."""
     spec = folder.spec
     with folder.journal() as journal:
-        plan, found, reader = TrialPlan.of(spec), RunCounter.of(spec), genome_reader(folder)
+        plan, found, reader = TrialPlan.of(spec), RunCounter(spec), genome_reader(folder)
         metrics, keys, outcomes = SuccessMetrics(plan), [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)]
-        for part in find_successes(found.counting(journal.blocks(), spec), plan):
+        for part in find_successes(found.counting(journal.blocks()), plan):
             metrics.add(part)
             keys.append(niches(part.rows, reader))
             outcomes.append(part.rows["outcome"])
         totals = found.totals
         return RunSummary(
-            **structs.asdict(RunListing.of(journal.run, spec, journal.scene, found)),
+            **structs.asdict(RunListing.of(journal.run, journal.scene, found)),
             scale=spec.scale or 1.0,
             aim_for=spec.aim_for or "",
             told_apart_by=spec.diversity or ("position" if spec.aim_for else ""),

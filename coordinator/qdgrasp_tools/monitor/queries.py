@@ -53,7 +53,7 @@ class CountedRun:
         self.spec = spec
         self.rows = 0  # Number of journal rows that are counted
         self.listing: RunListing | None = None  # At the last complete count; None before the first
-        self._counter: RunCounter | None = RunCounter.of(spec)  # None once it is over: it may hold many cells
+        self._counter: RunCounter | None = RunCounter(spec)  # None once it is over: it may hold many cells
         self._curve: GrowthCurve | None = None  # Once it is over
 
     def curve(self, run: str) -> GrowthCurve | None:
@@ -65,12 +65,12 @@ class CountedRun:
         if (counter := self._counter) is None or (self.listing and self.rows == journal.count):
             return
         for block in journal.blocks(self.rows):
-            counter.count_block(block, self.spec)
+            counter.count_block(block)
             self.rows += len(block)
             if time.monotonic() > until:
                 break
         if self.rows == journal.count:
-            self.listing = RunListing.of(journal.run, self.spec, journal.scene, counter)
+            self.listing = RunListing.of(journal.run, journal.scene, counter)
             if counter.finished is not None:
                 self._curve, self._counter = counter.curve(journal.run), None
 

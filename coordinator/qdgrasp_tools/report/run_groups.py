@@ -89,8 +89,8 @@ def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
     """Read what a run found, also while it goes on; FolderError if its journal cannot be read."""
     spec = folder.spec
     with folder.journal() as journal:
-        plan, counts = TrialPlan.of(spec), RunCounter.of(spec)
-        blocks = counts.counting(chain([journal.shape.empty(0)], journal.blocks()), spec)
+        plan, counts = TrialPlan.of(spec), RunCounter(spec)
+        blocks = counts.counting(chain([journal.shape.empty(0)], journal.blocks()))
         found, cpu_seconds = (
             join_successes([*find_successes(blocks, plan, spec.overlaps)]),
             journal.cpu_seconds,

@@ -109,7 +109,7 @@ class ReevaluationQueue(RunQueue):
         name = self._left.popleft()
         selection = self._selections[name]
         spec, recorded = selection.found_by.spec, selection.rows()
-        plan = ReevaluationPlan(recorded, partial(self.add_row, selection, recorded))
+        plan = ReevaluationPlan(spec, recorded, partial(self.add_row, selection, recorded))
         return RunPlan.of(spec, selection.folder.prepared_scene(), lambda _shape: plan, run=name)
 
     def put_back(self, run: str) -> None:

@@ -19,7 +19,7 @@ def rows(*outcomes: Outcome, generation: int = 0) -> Rows:
 
 
 def test_every_outcome_is_counted_where_it_belongs() -> None:
-    total = RunCounter(100, "redraw")
+    total = RunCounter(redrawn(100))
     total.count(rows(*Outcome))
     total.count(rows(*Outcome, generation=1))
     found = total.totals
@@ -58,14 +58,14 @@ def test_a_journal_tells_that_the_last_generations_counted_nothing(size, populat
 @pytest.mark.parametrize("size", [1, 3, 100])
 def test_generations_of_a_programs_own_search_end_where_the_next_begins(size: int) -> None:
     spec = RunSpec(gripper="hand", object="thing", method="custom_contact", evaluations=9)
-    counter = RunCounter.of(spec)
+    counter = RunCounter(spec)
     for block in blocks(*(rows(*[Outcome.HELD] * 2, generation=number) for number in range(3)), size=size):
-        counter.count_block(block, spec)
+        counter.count_block(block)
     assert [point.evaluations for point in counter.curve("run").points] == [2, 4]
     whole = structs.replace(spec, evaluations=6)
-    counter = RunCounter.of(whole)
+    counter = RunCounter(whole)
     for block in blocks(*(rows(*[Outcome.HELD] * 2, generation=number) for number in range(3)), size=size):
-        counter.count_block(block, whole)
+        counter.count_block(block)
     assert [point.evaluations for point in counter.curve("run").points] == [2, 4, 6]
 
 

@@ -6,14 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.coordinator.recorded_runs import random_rows
-from tests.coordinator.scheduler.search_plans import FEW_CELLS, Plan, asked, reference
+from tests.coordinator.scheduler.search_plans import FEW_CELLS, Plan, asked, brief_spec, reference
 from tests.coordinator.scheduler.test_pipeline import journal, rows_in
 
 from qdgrasp_coordinator.metrics.run_stats import RunCounter
-from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import GOAL_KEYS, RunSpec
 
 GOALS = (("grasps", 1), ("grasps", 7), ("saturation", 0.9), ("saturation", 0.7))
 KINDS = {"population": (1, 7), "overlaps": ("count", "redraw"), "in_flight": (1, 2), "trials": (0, 2)}
@@ -63,13 +61,8 @@ def test_any_recorded_beginning_goes_on_to_the_same_end(plan: Plan) -> None:
         assert b"".join(rest) == expected[n:].tobytes()
 
 
-def spec_of(plan: Plan) -> RunSpec:
-    same = ("population", "evaluations", "overlaps", *GOAL_KEYS)
-    return RunSpec(gripper="hand", object="thing", **{name: getattr(plan, name) for name in same})
-
-
 def counted(plan: Plan, rows: Rows, size: int) -> RunCounter:
-    total = RunCounter(plan.evaluations, plan.overlaps, plan.trials, plan.goals)
+    total = plan.pipeline().tally
     for first in range(0, len(rows), size):
         total.count(rows[first : first + size])
     return total
@@ -91,11 +84,11 @@ def test_recorded_rows_allow_just_the_goals_whose_journals_begin_with_them(goal:
         for number, one in asked_for.items():
             total = counted(one, whole[:n], size=7)
             if journals[number].startswith(whole[:n].tobytes()):
-                total.check_budget(spec_of(one))
+                total.check_budget()
             else:
                 words = f"^{goal} must be (at least|less than) .* recorded"
                 with pytest.raises(ImpossibleValue, match=words):
-                    total.check_budget(spec_of(one))
+                    total.check_budget()
 
 
 def rows_that_find(new: list[bool]) -> Rows:
@@ -108,7 +101,7 @@ def rows_that_find(new: list[bool]) -> Rows:
 
 def evaluations_until_stop(new: list[bool]) -> int | None:
     """Number of these rows in a run that ends at a saturation of 0.1; None: all."""
-    counter = RunCounter(10**6, "redraw", goals=StopCriteria(saturation=0.1))
+    counter = RunCounter(brief_spec(evaluations=10**6, overlaps="redraw", saturation=0.1))
     rows = rows_that_find(new)
     until = counter.rows_until_stop(rows)
     counter.count(rows[:until])

@@ -5,7 +5,6 @@ import pytest
 from tests.coordinator.scheduler.search_plans import FEW_CELLS, SHAPE, Chain, Plan, asked
 
 from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes, find_successes
-from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_protocol.rows import Outcome, Rows
 
 
@@ -25,7 +24,7 @@ class Listener(Chain):
 @pytest.mark.parametrize("trials", [0, 3, 7])
 def test_scores_are_what_the_search_was_told(trials: int, size: int) -> None:
     search, plan = Listener(), TrialPlan(trials)
-    pipeline = Pipeline(search, SHAPE, 1000, "count", trials=trials)
+    pipeline = Plan(evaluations=1000, trials=trials).pipeline_of(search)
     journal = [SHAPE.empty(0)]
     while len(search.heard) < 6:
         journal.append(pipeline.settle(asked(pipeline, FEW_CELLS)).rows)

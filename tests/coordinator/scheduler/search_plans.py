@@ -3,14 +3,16 @@
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
-from qdgrasp_coordinator.metrics.stop_criteria import StopCriteria
-from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
+from qdgrasp_coordinator.metrics import stop_criteria
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import Overlaps
+from qdgrasp_protocol.spec import Overlaps, RunSpec
 
 SHAPE = RowShape(genes=4, joints=1)
 
@@ -95,20 +97,29 @@ class Plan:
 
     def pipeline(self) -> Pipeline:
         """A new pipeline of this run."""
-        search = self.task.search(self.population, self.seed)
-        budget = (self.evaluations, self.overlaps, self.flight)
-        return Pipeline(search, self.task.shape, *budget, self.trials, self.goals)
+        return self.pipeline_of(self.task.search(self.population, self.seed))
+
+    def pipeline_of(self, search: SearchAlgorithm) -> Pipeline:
+        """A new pipeline of this run with a search."""
+        with patch.object(stop_criteria, "WINDOW", self.window):
+            return Pipeline(search, self.task.shape, self.spec)
 
     @property
-    def goals(self) -> StopCriteria:
-        """Its stop criteria besides the budget."""
-        names = ("grasps", "saturation", "window")
-        return StopCriteria(**{name: getattr(self, name) for name in names})
+    def spec(self) -> RunSpec:
+        """Its spec, as far as its pipeline reads it."""
+        return brief_spec(
+            **{name: getattr(self, name) for name in ("seed", "population", "evaluations", "overlaps")},
+            generations_in_flight=self.in_flight,
+            in_flight=self.most_in_flight * self.population,
+            trials=self.trials,
+            grasps=self.grasps,
+            saturation=self.saturation,
+        )
 
-    @property
-    def flight(self) -> Flight:
-        """Generations in flight."""
-        return Flight(self.in_flight, self.most_in_flight)
+
+def brief_spec(**values: Any) -> RunSpec:
+    """A spec of some values, not checked."""
+    return RunSpec(gripper="hand", object="thing", **values)
 
 
 def reference(plan: Plan) -> bytes:

@@ -4,7 +4,6 @@ import itertools
 import random
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 from tests.coordinator.scheduler.search_plans import (
@@ -14,17 +13,17 @@ from tests.coordinator.scheduler.search_plans import (
     Spy,
     Task,
     asked,
+    brief_spec,
     evaluate,
     reference,
     rows_of,
 )
 
 from qdgrasp_coordinator.metrics.run_stats import BARREN, BARREN_GENOMES, RunCounter
-from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline, most_in_flight
 from qdgrasp_protocol.errors import ImpossibleValue, ReplayError
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import Genomes, Outcome, Rows
-from qdgrasp_protocol.spec import RunSpec
 
 PLANS = [
     Plan(population=p, evaluations=budget, overlaps=overlaps, in_flight=in_flight, trials=trials, seed=seed)
@@ -95,24 +94,22 @@ def test_any_recorded_beginning_goes_on_to_the_same_journal(plan: Plan) -> None:
 @pytest.mark.parametrize("overlaps", ["count", "redraw"])
 def test_recorded_rows_allow_just_the_budgets_whose_journals_begin_with_them(overlaps, trials: int) -> None:
     plan = Plan(population=5, evaluations=13, overlaps=overlaps, trials=trials, seed=3)
-    spec = RunSpec(gripper="hand", object="thing", population=5, overlaps=overlaps)
     journals = {budget: reference(replace(plan, evaluations=budget)) for budget in range(1, 16)}
     whole = rows_in(journals[13])
     for n in range(len(whole) + 1):
-        tally = RunCounter(13, overlaps, plan.trials)
-        tally.count(whole[:n])
         for budget, expected in journals.items():
-            asked = msgspec.structs.replace(spec, evaluations=budget)
+            tally = RunCounter(replace(plan, evaluations=budget).spec)
+            tally.count(whole[:n])
             if expected.startswith(whole[:n].tobytes()):
-                tally.check_budget(asked)
+                tally.check_budget()
             else:
                 with pytest.raises(ImpossibleValue):
-                    tally.check_budget(asked)
+                    tally.check_budget()
 
 
 def test_a_generation_is_asked_when_the_one_it_waits_for_is_told_even_if_nobody_fetches_it() -> None:
     spy = Spy(4)
-    pipeline = Pipeline(spy, SHAPE, 1000, "count", flight=Flight(2))
+    pipeline = Pipeline(spy, SHAPE, brief_spec(evaluations=1000, generations_in_flight=2))
     first, second = pipeline.ask(), pipeline.ask()
     pipeline.settle(evaluate(rows_of(1, second.genomes)))
     pipeline.settle(evaluate(rows_of(0, first.genomes)))
@@ -120,10 +117,19 @@ def test_a_generation_is_asked_when_the_one_it_waits_for_is_told_even_if_nobody_
 
 
 def test_generations_in_flight_become_more_with_every_eighth_that_is_told_up_to_the_most() -> None:
-    flight = Flight(2, 4)
-    assert [flight.after(told) for told in (0, 7, 8, 15, 16, 23, 24, 1000)] == [2, 2, 3, 3, 4, 4, 4, 4]
+    spec = brief_spec(population=4, evaluations=10_000, generations_in_flight=2, in_flight=16)
+    assert [most_in_flight(spec, told) for told in (0, 7, 8, 15, 16, 23, 24, 1000)] == [
+        2,
+        2,
+        3,
+        3,
+        4,
+        4,
+        4,
+        4,
+    ]
     spy = Spy(4)
-    pipeline = Pipeline(spy, SHAPE, 10_000, "count", flight=flight)
+    pipeline = Pipeline(spy, SHAPE, spec)
     waiting = [pipeline.ask(), pipeline.ask()]
     while len(spy.calls) < 22:
         number = waiting[0].number
@@ -148,12 +154,12 @@ class Barren(Spy):
 
 @pytest.mark.parametrize("fertile", [0, 5, BARREN - 1, BARREN])
 def test_a_run_ends_when_its_last_twenty_generations_counted_nothing(fertile: int) -> None:
-    pipeline = Pipeline(Barren(fertile), SHAPE, 100, "redraw", flight=Flight(2))
+    pipeline = Plan(evaluations=100, overlaps="redraw", in_flight=2).pipeline_of(Barren(fertile))
     found = rows_in(journal(pipeline, fertile))
     assert pipeline.finished == "the last 1000 genomes, 20 generations, counted no evaluation"
     last = BARREN - 1 if fertile >= BARREN else fertile + BARREN
     assert found["generation"][-1] == last
-    again = Pipeline(Barren(fertile), SHAPE, 200, "redraw", flight=Flight(2))
+    again = Plan(evaluations=200, overlaps="redraw", in_flight=2).pipeline_of(Barren(fertile))
     again.replay(found)
     assert (again.finished, again.ask()) == (pipeline.finished, None)
 
@@ -220,7 +226,7 @@ class Fertile(Spy):
 
 def fertile(population: int = 4, evaluations: int = 100, trials: int = 3) -> tuple[Fertile, Pipeline]:
     search = Fertile(population)
-    return search, Pipeline(search, SHAPE, evaluations, "count", trials=trials)
+    return search, Plan(evaluations=evaluations, trials=trials).pipeline_of(search)
 
 
 def keys_of(rows: Rows) -> list[tuple[int, int]]:

@@ -129,7 +129,7 @@ def test_a_recorder_that_refuses_is_quoted() -> None:
 
 def test_a_recorder_that_serves_another_coordinator_ends_this_one() -> None:
     def replaced(_query: Query) -> bytes:
-        raise TookOver.refusal(1, 2)
+        raise Refused(f"epoch 1 is over: {TookOver.BY} 2")
 
     network = MemoryNetwork()
     link = RecorderClient(network.session(), "many", SHAPE)

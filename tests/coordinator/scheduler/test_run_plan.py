@@ -91,7 +91,7 @@ def heard() -> list[tuple[int, np.void, str]]:
 
 @pytest.fixture
 def repetition(recorded: Rows, heard: list[tuple[int, np.void, str]]) -> ReevaluationPlan:
-    return ReevaluationPlan(recorded, lambda *compared: heard.append(compared))
+    return ReevaluationPlan(full_spec(ASKED), recorded, lambda *compared: heard.append(compared))
 
 
 def evaluated(repetition: ReevaluationPlan) -> Rows:

@@ -99,7 +99,7 @@ def test_the_last_figures_of_a_run_are_those_of_its_journal_and_say_why_it_is_ov
     plan = PLANS["run-3"]
     job = Job({"run-3": plan})
     last = from_json(carried_out(job).of(KEYS.stat("run/run-3"))[-1], RunStatus)
-    tally = RunCounter(plan.evaluations, "count")
+    tally = RunCounter(plan.spec)
     tally.count(job.records["run-3"].rows)
     assert (last.totals, last.rows, last.outcomes) == (tally.totals, tally.rows, tally.outcomes)
     assert set(last.outcomes) == {outcome.name.lower() for outcome in Outcome}

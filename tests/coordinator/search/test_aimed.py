@@ -13,7 +13,7 @@ from tests.coordinator.search.synthetic_scene import (
     space,
 )
 
-from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.search.base import SearchSpace
 from qdgrasp_coordinator.search.registry import AIMED, method, prior_of
 from qdgrasp_coordinator.search.value_search import (
@@ -67,7 +67,8 @@ def objective(request) -> dict[str, Any]:
 def test_a_run_that_was_stopped_goes_on_to_the_same_journal(objective) -> None:
     def pipeline() -> Pipeline:
         search, _ = build(spec(seed=3, **objective), POSTURE)
-        return Pipeline(search, shape(where), 400, "redraw", Flight(2))
+        budget = spec(evaluations=400, overlaps="redraw", generations_in_flight=2)
+        return Pipeline(search, shape(where), budget)
 
     def journal(running: Pipeline, last_first: bool = False) -> Rows:
         pieces = []

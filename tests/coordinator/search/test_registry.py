@@ -104,16 +104,18 @@ class TestEverySearch:
     def test_the_order_of_arrival_changes_nothing(self, build, shape, entry: Method) -> None:
         journals = []
         for order in (np.sort, np.random.default_rng(0).permutation):
-            pipeline = Pipeline(build(), shape, 4 * POPULATION + 13, entry.overlaps)
+            pipeline = Pipeline(
+                build(), shape, spec(evaluations=4 * POPULATION + 13, overlaps=entry.overlaps)
+            )
             journals.append(b"".join(_journal(pipeline, shape, order)))
         assert journals[0] == journals[1]
 
     def test_a_recorded_beginning_goes_on_to_the_same_journal(self, build, shape, entry) -> None:
         recorded = 3 * POPULATION + 7
-        budget = 4 * POPULATION + 13
-        whole = b"".join(_journal(Pipeline(build(), shape, budget, entry.overlaps), shape, np.sort))
+        budget = spec(evaluations=4 * POPULATION + 13, overlaps=entry.overlaps)
+        whole = b"".join(_journal(Pipeline(build(), shape, budget), shape, np.sort))
         rows = np.frombuffer(whole, dtype=shape.dtype)
-        pipeline = Pipeline(build(), shape, budget, entry.overlaps)
+        pipeline = Pipeline(build(), shape, budget)
         pipeline.replay(rows[:recorded])
         assert b"".join(_journal(pipeline, shape, np.sort)) == rows[recorded:].tobytes()
 
@@ -167,7 +169,9 @@ def test_an_unknown_method_is_refused_with_the_known_ones_named() -> None:
 
 
 def test_a_pipeline_of_given_poses_ends_also_when_they_do_not_spend_the_budget() -> None:
-    pipeline = Pipeline(FixedPoseSearch(np.zeros((5, 7), np.float32), population=10), SHAPE, 6, "count")
+    pipeline = Pipeline(
+        FixedPoseSearch(np.zeros((5, 7), np.float32), population=10), SHAPE, spec(evaluations=6)
+    )
     assert len(pipeline.settle(_rows(SHAPE, pipeline.ask()))) == 5
     assert pipeline.finished == "the search has nothing left to ask"
 

@@ -134,7 +134,7 @@ def grown(tmp_path: Path) -> Path:
     for (name, spec), share in zip(wanted.runs.items(), (1.0, 0.2), strict=True):
         rows = random_rows(N)
         rows["outcome"][int(share * N) :] = Outcome.MISSED
-        until = RunCounter.of(spec).rows_until_stop(rows)
+        until = RunCounter(spec).rows_until_stop(rows)
         record(tmp_path / name, scene, rows[:until], **msgspec.structs.asdict(spec))
         shutil.copytree(tmp_path / name, folder / "runs" / name)
     return folder

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from qdgrasp_assets.genes import STEEPEST_VALUE
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.scheduler import run_plan
-from qdgrasp_coordinator.scheduler.pipeline import Flight, Pipeline
+from qdgrasp_coordinator.scheduler.pipeline import Pipeline
 from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.search.success_model import STARTS, pooled_weights
 from qdgrasp_coordinator.search.value_search import ValueSearch
@@ -43,7 +43,7 @@ Record = Callable[..., RunFolder]
 
 
 def pipeline(search: ValueSearch, spec: RunSpec) -> Pipeline:
-    return Pipeline(search, shape(SPACE), spec.evaluations, "redraw", Flight.of(spec))
+    return Pipeline(search, shape(SPACE), spec)
 
 
 def journal(spec: RunSpec) -> tuple[ValueSearch, Rows]:
