@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_coordinator.metrics.successes import TrialPlan
 from qdgrasp_coordinator.scheduler.run_plan import prepare_scene
 from qdgrasp_coordinator.search.fixed_poses import read_poses, write_scores
@@ -162,7 +163,7 @@ def import_(
     Example: qdgrasp import grasps.yaml --gripper panda --object mug -o poses.npz
     """  # noqa: D205  # typer joins the lines
     from qdgrasp_tools.export.grasp_table import frame_of
-    from qdgrasp_tools.export.importer import hand_named, import_poses, object_frame  # takes its time to load
+    from qdgrasp_tools.export.importer import import_poses, object_frame  # takes its time to load
 
     output = OutFile(out, force=force, inputs=(file, Path(gripper), Path(object_)))
     output.check()
@@ -170,7 +171,8 @@ def import_(
     told_in = None if frame is None else frame_of(frame)
     with progress_messages() as tell:
         tell(f"reading {file}")
-        found = import_poses(file, hand_named(gripper), object_frame(object_, metres), told_in)
+        hand = find_gripper(gripper).on_carrier("paper")
+        found = import_poses(file, hand, object_frame(object_, metres), told_in)
     if found.mismatches and not anyway:
         said = " ".join(found.mismatches)
         raise InputError(f"{said} Name the hand and object of '{file}', or add --anyway.")

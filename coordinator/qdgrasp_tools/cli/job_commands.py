@@ -4,8 +4,8 @@ import io
 import json
 import logging
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -34,19 +34,6 @@ from qdgrasp_tools.monitor.records import BusRecords
 from qdgrasp_tools.monitor.terminal import watch_jobs
 
 SESSION_SECONDS = 6.0  # seconds that a router may take to answer, over a slow link too
-
-
-@contextmanager
-def open_session(
-    connect: str, security: Path | None, role: Role = Role.ADMIN, wait: float = SESSION_SECONDS
-) -> Iterator[Bus]:
-    """Open a session at a router that answers within `wait` seconds; a signal ends it.
-
-    Raises `EndpointError` where nothing answers, `SecurityError` where the folder lacks the role's files.
-    """
-    credentials = Credentials.find(security, role)
-    with ZenohBus.connect(connect, wait, credentials=credentials) as bus:
-        yield bus
 
 
 JobDir = Annotated[
@@ -112,7 +99,8 @@ def jobs(
     """
     place = JobPlace.of(directory, connect, security)
     endpoint = place.endpoint
-    with open_session(endpoint, security, Role.MONITOR) as bus:
+    credentials = Credentials.find(security, Role.MONITOR)
+    with ZenohBus.connect(endpoint, SESSION_SECONDS, credentials=credentials) as bus:
         found = place.chosen(reachable_jobs(bus))
     if not found and place.folder is not None:
         raise place.folder.no_coordinator()
@@ -189,7 +177,8 @@ def send_order(job: str, connect: str | None, security: Path | None, order: Orde
     Raises `UnknownName` where there is no such job, another `InputError` where it cannot be done.
     """
     endpoint = router_endpoint(connect, security)
-    with open_session(endpoint, security) as bus:
+    credentials = Credentials.find(security, Role.ADMIN)
+    with ZenohBus.connect(endpoint, SESSION_SECONDS, credentials=credentials) as bus:
         try:
             answer = bus.ask(Keys(job).control, messages.encode(order))
         except Refused as refusal:

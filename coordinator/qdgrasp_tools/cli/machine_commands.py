@@ -1,12 +1,9 @@
 """`qdgrasp doctor` and `security`: what a machine needs, and certificates for many."""
 
 import importlib.metadata
-import json
 import os
 import socket
 import sqlite3
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -21,7 +18,6 @@ from qdgrasp_protocol.session import Role
 from qdgrasp_protocol.spec import (
     DEFAULT_ENGINE,
     DEVICE_ENGINE,
-    DEVICE_VARIABLE,
     ENGINE_PACKAGES,
     MissingEngine,
     check_engine,
@@ -29,9 +25,9 @@ from qdgrasp_protocol.spec import (
 from qdgrasp_protocol.text import counted
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.cli import options
+from qdgrasp_tools.local.supervisor import local_platform
 
 NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}
-SIMULATOR_SECONDS, DEVICE_SECONDS = 60, 900  # Without a device, and with one, which compiles first [s]
 
 
 class MissingRequirement(InputError):
@@ -90,17 +86,7 @@ def _check_bus() -> str:
 
 
 def _check_simulator() -> str:
-    command = [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"]
-    seconds = DEVICE_SECONDS if os.environ.get(DEVICE_VARIABLE) else SIMULATOR_SECONDS
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
-    except subprocess.TimeoutExpired:
-        raise MissingRequirement(f"the probe set took more than {seconds} s.") from None
-    if done.returncode:
-        raise MissingRequirement(
-            (done.stderr.strip().splitlines() or ["the worker ended without a word"])[-1]
-        )
-    platform = json.loads(done.stdout.strip().splitlines()[-1])
+    platform = local_platform()
     device = [f"{DEVICE_ENGINE} on {platform['warp_device']}"] if DEVICE_ENGINE in platform else []
     probes = {name.replace("_", " "): digest for name, digest in platform.items() if "probes" in name}
     return ", ".join([*(f"{name} {digest[:12]}" for name, digest in probes.items()), *device])

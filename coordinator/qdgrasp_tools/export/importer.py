@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.asset_paths import named_path
-from qdgrasp_assets.catalog import check_object, find_gripper, find_object, object_names
+from qdgrasp_assets.catalog import check_object, find_object, object_names
 from qdgrasp_assets.geometry.rotation import Floats, conjugate
 from qdgrasp_assets.object_model import read_solid
 from qdgrasp_assets.scene import SceneGripper
@@ -48,11 +48,6 @@ class ObjectFrame:
     """Factor of the lengths in its mesh file, to metres."""
     extents: Floats
     """(3,) [m]: sides of its bounding box."""
-
-
-def hand_named(name: str) -> SceneGripper:
-    """Find a gripper by its name in the catalog, or by its TOML file."""
-    return find_gripper(name).on_carrier("paper")
 
 
 def object_frame(name: str, scale: float | None = None) -> ObjectFrame:

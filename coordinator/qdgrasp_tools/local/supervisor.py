@@ -4,8 +4,11 @@ The same processes, commands and messages as on many machines; there is no secon
 the coordinator in a process of its own, `LocalSession` in this one.
 """
 
+import json
 import os
 import shlex
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -76,6 +79,25 @@ def check_engines(specs: Iterable[RunSpec], workers: int = 1) -> None:
             )
         if spec.engine == DEVICE_ENGINE:
             check_packages(f"The engine {DEVICE_ENGINE}", *EXTRAS["gpu"])
+
+
+SELF_TEST_SECONDS, DEVICE_SECONDS = 60, 900  # Without a device, and with one, which compiles first [s]
+
+
+def local_platform() -> dict[str, str]:
+    """Return what decides the bits of results on this machine, by a worker's self-test.
+
+    Raises InputError where that fails.
+    """
+    command = [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"]
+    seconds = DEVICE_SECONDS if os.environ.get(DEVICE_VARIABLE) else SELF_TEST_SECONDS
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
+    except subprocess.TimeoutExpired:
+        raise InputError(f"The probe set took more than {seconds} s.") from None
+    if done.returncode:
+        raise InputError((done.stderr.strip().splitlines() or ["The worker ended without a word."])[-1])
+    return dict(json.loads(done.stdout.strip().splitlines()[-1]))
 
 
 GRACE = 1.2

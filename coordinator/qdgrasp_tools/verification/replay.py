@@ -3,9 +3,7 @@
 The replay is compared with what is recorded, bit for bit.
 """
 
-import json
 import subprocess
-import sys
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
@@ -42,7 +40,7 @@ from qdgrasp_protocol.replay_messages import (
     Snapshot,
 )
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.local.supervisor import GRACE
+from qdgrasp_tools.local.supervisor import GRACE, local_platform
 from qdgrasp_tools.rendering.ray_renderer import (
     LayeredImage,
     ParallelCamera,
@@ -124,13 +122,6 @@ def replay_evaluation(shown: ReplayTarget, stop: Stop) -> ReplayAnswer | None:
         if stop.is_set:
             return None
         return msgspec.json.decode((folder / ANSWER).read_bytes(), type=ReplayAnswer)
-
-
-def local_platform() -> dict[str, str]:
-    """Return the entries that decide the bits of results on this machine."""
-    command = [sys.executable, "-m", "qdgrasp_worker.cli", "--self-test"]
-    test = subprocess.run(command, capture_output=True, check=True, text=True)
-    return dict(json.loads(test.stdout))
 
 
 def _run_process(folder: Path, stop: Stop) -> None:

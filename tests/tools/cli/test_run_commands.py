@@ -76,13 +76,13 @@ EVIL = "\x1b[2J"
 
 
 @contextmanager
-def session(*_: object) -> Iterator[SimpleNamespace]:
+def session(*_: object, **__: object) -> Iterator[SimpleNamespace]:
     """A session at a coordinator whose answer holds control characters."""
     yield SimpleNamespace(ask=lambda *_, **__: messages.encode(OrderReply(words=f"Done. {EVIL}")))
 
 
 def test_what_a_coordinator_says_of_its_job_is_escaped(monkeypatch, capsys) -> None:
-    monkeypatch.setattr(job_commands, "open_session", session)
+    monkeypatch.setattr(job_commands.ZenohBus, "connect", session)
     monkeypatch.setattr(job_commands, "reachable_jobs", lambda _: views(values(trouble=EVIL)))
     job_commands.jobs(connect="tcp/127.0.0.1:1")
     said = capsys.readouterr().out
@@ -90,15 +90,15 @@ def test_what_a_coordinator_says_of_its_job_is_escaped(monkeypatch, capsys) -> N
     assert EVIL not in said
 
 
-def test_a_job_that_answers_late_is_known_and_may_still_carry_an_order_out(monkeypatch, tmp_path) -> None:
+def test_a_job_that_answers_late_is_known_and_may_still_carry_an_order_out(monkeypatch) -> None:
     def silent(*_: object, **__: object) -> None:
         raise NoReply("no answer")
 
     @contextmanager
-    def waiting(*_: object) -> Iterator[SimpleNamespace]:
+    def waiting(*_: object, **__: object) -> Iterator[SimpleNamespace]:
         yield SimpleNamespace(ask=silent)
 
-    monkeypatch.setattr(job_commands, "open_session", waiting)
+    monkeypatch.setattr(job_commands.ZenohBus, "connect", waiting)
     monkeypatch.setattr(job_commands, "reachable_jobs", lambda _: views(values()))
     (known,) = views(values())
     for job, words in (
@@ -106,7 +106,7 @@ def test_a_job_that_answers_late_is_known_and_may_still_carry_an_order_out(monke
         ("other", "Unknown job 'other'"),
     ):
         with pytest.raises(InputError, match=words):
-            job_commands.send_order(job, "tcp/127.0.0.1:1", tmp_path, Order(act="pause"))
+            job_commands.send_order(job, "tcp/127.0.0.1:1", None, Order(act="pause"))
 
 
 @pytest.mark.parametrize(

@@ -11,14 +11,14 @@ from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import made_scene
 from tests.tools.export import foreign_files
 
-from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.catalog import build_scene, find_gripper
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import Jaw, Scene
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import SHAKES, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.export import importer
-from qdgrasp_tools.export.importer import ImportedPoses, ObjectFrame, hand_named
+from qdgrasp_tools.export.importer import ImportedPoses, ObjectFrame
 from qdgrasp_worker.evaluator import Evaluator
 
 COM = (0.01, -0.02, 0.03)
@@ -123,7 +123,7 @@ def evaluated_run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
 @pytest.fixture(scope="module")
 def panda() -> Callable[..., ImportedPoses]:
     """Reads a file for the Panda hand, on an object whose centre of mass is at `COM`."""
-    hand = hand_named("panda")
+    hand = find_gripper("panda").on_carrier("paper")
     return lambda path, **settings: importer.import_poses(
         path, hand, ObjectFrame(foreign_files.COM, 1.0, np.ones(3)), **settings
     )

@@ -8,14 +8,15 @@ from scipy.spatial.transform import Rotation
 from tests.tools.export.conftest import evaluate_given
 from tests.tools.export.foreign_files import imported_file
 
+from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_coordinator.search.fixed_poses import read_poses
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows
 from qdgrasp_tools.export.exporter import export_grasps
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
-from qdgrasp_tools.export.importer import hand_named, object_frame
 from qdgrasp_tools.export.importer import import_poses as read_file
+from qdgrasp_tools.export.importer import object_frame
 
 LARGEST = 1e-6
 """Greatest error of a pose [m, rad]."""
@@ -27,7 +28,9 @@ def there_and_back(run: RunFolder, name: str, path: Path, **settings: str) -> np
     """The genomes of poses that were exported, imported, written for `evaluate` and read by it."""
     out = path / name
     export_grasps(run, out, name, GraspChoice(min_fitness=0), force=True, **settings)
-    found = read_file(imported_file(out), hand_named(run.spec.gripper), object_frame(run.spec.object))
+    found = read_file(
+        imported_file(out), find_gripper(run.spec.gripper).on_carrier("paper"), object_frame(run.spec.object)
+    )
     assert found.notes == ()
     found.write(OutFile(path / "poses.npz", force=True))
     return read_poses(path / "poses.npz").genomes(run.scene())
