@@ -1,16 +1,14 @@
 """Records of runs: successes and scenes, over the bus or from folders at hand."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_coordinator.metrics.job_status import (
-    ObjectListing,
     ObjectListings,
-    RunListing,
     RunListings,
     from_json,
 )
@@ -114,6 +112,9 @@ def _free_name(name: str, taken: dict[str, FolderJob]) -> str:
     return next(each for n in count(1) if (each := name if n == 1 else f"{name}-{n}") not in taken)
 
 
+Listings = TypeVar("Listings", RunListings, ObjectListings)
+
+
 class BusRecords:
     """Records over the bus: answers of the recorder; the coordinator is not involved.
 
@@ -137,32 +138,29 @@ class BusRecords:
 
     def entries(self, job: str) -> RunListings:
         """Read all pages of the recorder's list, as far as it has counted."""
-        first, uncounted, runs = 0, 0, list[RunListing]()
-        while True:
-            page = self._entries(job, f"from={first}")
-            runs += page.runs
-            uncounted += page.uncounted
-            if page.next <= first:
-                return RunListings(runs=runs, uncounted=uncounted)
-            first = page.next
+        pages = list(self._pages(Keys(job).entries, RunListings))
+        runs = [run for page in pages for run in page.runs]
+        return RunListings(runs=runs, uncounted=sum(page.uncounted for page in pages))
 
     def objects(self, job: str) -> ObjectListings:
         """Read all pages of the recorder's table."""
-        first, objects = 0, list[ObjectListing]()
-        while True:
-            answer = self._bus.ask(Keys(job).objects, parameters=f"from={first}")
-            page = from_json(answer, ObjectListings)
-            objects += page.objects
-            if page.next <= first:
-                return ObjectListings(objects=objects, uncounted=page.uncounted)
-            first = page.next
+        pages = list(self._pages(Keys(job).objects, ObjectListings))
+        objects = [one for page in pages for one in page.objects]
+        return ObjectListings(objects=objects, uncounted=pages[-1].uncounted)
 
     def curve(self, job: str, run: str) -> GrowthCurve:
         """Return the curve as far as the recorder has counted the run."""
-        return self._entries(job, f"run={run}").curve or GrowthCurve(run=run, points=[])
+        answer = self._bus.ask(Keys(job).entries, parameters=f"run={run}")
+        return from_json(answer, RunListings).curve or GrowthCurve(run=run, points=[])
 
-    def _entries(self, job: str, parameters: str) -> RunListings:
-        return from_json(self._bus.ask(Keys(job).entries, parameters=parameters), RunListings)
+    def _pages(self, key: str, kind: type[Listings]) -> Iterator[Listings]:
+        """Ask for one page after the other."""
+        first, following = -1, 0
+        while following > first:
+            first = following
+            page = from_json(self._bus.ask(key, parameters=f"from={first}"), kind)
+            following = page.next
+            yield page
 
 
 class FolderRecords:

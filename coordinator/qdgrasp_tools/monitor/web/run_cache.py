@@ -206,26 +206,22 @@ class RunCache:
         return pages
 
 
-class RunCaches:
-    """Caches of single runs; `clock` gives the time [s].
+def run_caches(
+    records: Records, clock: Callable[[], float] = time.monotonic
+) -> Callable[[str, str], RunCache]:
+    """Return a function that gives the cache of a run of a job; `clock` gives the time [s]."""
+    return lru_cache(MAX_RUNS)(lambda job, run: RunCache(records, job, run, clock))
 
-    The methods of all caches may take a while; any thread may call them. They raise a `QdgraspError` where
-    there is no such job, run or grasp, or no answer.
+
+class JobCaches:
+    """Caches of runs, of lists of runs and objects, and of pictures of the objects.
+
+    The methods may take a while; any thread may call them. They raise a `QdgraspError` where there is no such
+    job, run or grasp, or no answer.
     """
 
-    def __init__(self, records: Records, clock: Callable[[], float] = time.monotonic) -> None:
-        self._runs = lru_cache(MAX_RUNS)(lambda job, run: RunCache(records, job, run, clock))
-
-    def run(self, job: str, run: str) -> RunCache:
-        """Return the cache of a run."""
-        return self._runs(job, run)
-
-
-class JobCaches(RunCaches):
-    """Caches of runs, of lists of runs and objects, and of pictures of the objects."""
-
     def __init__(self, records: BusRecords, clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__(records, clock)
+        self.run = run_caches(records, clock)
 
         def kept(
             most: int, query: Callable[..., T], fresh: Callable[[T], float] = lambda _: LISTED_SECONDS

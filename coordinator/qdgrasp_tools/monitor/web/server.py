@@ -44,7 +44,7 @@ from qdgrasp_tools.monitor.feed import Feed
 from qdgrasp_tools.monitor.job_model import MOST_WORKERS, JobView
 from qdgrasp_tools.monitor.prometheus import exposition
 from qdgrasp_tools.monitor.records import FolderIndex, FolderRecords
-from qdgrasp_tools.monitor.web.run_cache import JobCaches, RunCache, RunCaches
+from qdgrasp_tools.monitor.web.run_cache import JobCaches, RunCache, run_caches
 
 PAGES = Path(__file__).with_name("pages")
 PART = re.compile(r"^( *)<!-- (parts/\w+\.html) -->\n", re.MULTILINE)
@@ -155,7 +155,7 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
         _slow("/api/jobs/{job}/runs/{run}/curve", curve, limiter),
         _picture_route("/api/jobs/{job}/runs/{run}/picture", picture),
         Route("/metrics", metrics),
-        *_run_routes(caches, limiter),
+        *_run_routes(caches.run, limiter),
     ]
 
 
@@ -208,7 +208,7 @@ def folder_routes(index: FolderIndex) -> list[BaseRoute]:
         return msgspec.json.encode(found)
 
     page = Route("/", lambda _: HTMLResponse(html("view")))
-    runs = _run_routes(RunCaches(FolderRecords(index)), limiter)
+    runs = _run_routes(run_caches(FolderRecords(index)), limiter)
     return [page, _slow("/api/jobs", listings, limiter), *runs]
 
 
@@ -221,11 +221,11 @@ def html(name: str) -> str:
     return PART.sub(lambda part: indent(read(part[2]), part[1]), read(f"{name}.html"))
 
 
-def _run_routes(caches: RunCaches, limiter: CapacityLimiter) -> list[BaseRoute]:
+def _run_routes(caches: Callable[[str, str], RunCache], limiter: CapacityLimiter) -> list[BaseRoute]:
     """Return the routes of one run's data, which both pages have."""
 
     def run(request: Request) -> RunCache:
-        return caches.run(request.path_params["job"], request.path_params["run"])
+        return caches(request.path_params["job"], request.path_params["run"])
 
     def cells(request: Request) -> bytes:
         since = _row(request.query_params.get("from", "")) or 0

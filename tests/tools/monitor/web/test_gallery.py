@@ -14,7 +14,7 @@ from tests.tools.monitor.web.conftest import HandMadeRecords, finds
 
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.records import JournalId
-from qdgrasp_tools.monitor.web.run_cache import RunCaches
+from qdgrasp_tools.monitor.web.run_cache import run_caches
 
 Page = Any
 records = test_scene.records
@@ -82,7 +82,7 @@ def test_a_grasp_is_a_file_with_its_frames_and_units(page: Page) -> None:
 
 
 def test_in_another_journal_the_same_number_is_another_picture(records: HandMadeRecords) -> None:
-    cache = RunCaches(records, clock=lambda: records.now).run("mug", "mug")
+    cache = run_caches(records, clock=lambda: records.now)("mug", "mug")
     before = cache.picture(8)
     records.become(made_scene(), JournalId("2" * 64, 2.0), finds([8], [(9, 9, 9)], [Outcome.HELD]))
     records.now += 100

@@ -14,7 +14,7 @@ from qdgrasp_tools.monitor.web.run_cache import (
     BUSY_SECONDS,
     FRESH_SECONDS,
     RunCache,
-    RunCaches,
+    run_caches,
 )
 from qdgrasp_tools.monitor.web.scene_data import HEADER
 
@@ -26,7 +26,7 @@ def records(make_scene) -> HandMadeRecords:
 
 @pytest.fixture
 def run(records: HandMadeRecords) -> RunCache:
-    return RunCaches(records, lambda: records.now).run("job", "run")
+    return run_caches(records, lambda: records.now)("job", "run")
 
 
 def origin(page: bytes) -> int:
@@ -120,4 +120,4 @@ def test_what_was_read_is_shown_when_nobody_answers_any_more(records, run, monke
     records.now += FRESH_SECONDS
     assert run.cells(0) == before
     with pytest.raises(NoReply):
-        RunCaches(records).run("job", "another").cells(0)
+        run_caches(records)("job", "another").cells(0)
