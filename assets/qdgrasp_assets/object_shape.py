@@ -26,7 +26,7 @@ from qdgrasp_assets.geometry.collision_parts import (
     Tell,
     ignore_progress,
 )
-from qdgrasp_assets.geometry.mesh import Floats, parts_to_obj, read_obj
+from qdgrasp_assets.geometry.mesh import Floats, parse_parts, parts_to_obj
 from qdgrasp_assets.geometry.mesh_io import check_file, linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
@@ -155,10 +155,8 @@ def _coordinates(blob: bytes) -> NDArray[np.float32]:
 
 def _has_convex_parts(text: bytes) -> bool:
     """Return whether an OBJ text holds solids of finite vertices; may raise `ValueError`."""
-    read = read_obj(text.decode("ascii"))
-    used = np.concatenate([np.zeros(0, np.int64), *(group.ravel() for group in read.groups)])
-    is_near = len(used) and (np.abs(read.vertices) <= FARTHEST).all()  # not true of nan
-    return bool(is_near and used.min() >= 0 and used.max() < len(read.vertices))
+    parts = parse_parts(text.decode("ascii"))
+    return bool(parts) and all((np.abs(part.vertices) <= FARTHEST).all() for part in parts)  # not of nan
 
 
 def shape_of(

@@ -21,34 +21,6 @@ OBJ_GROUP = re.compile(r"[ \t]*[og][ \t]")
 """Start of another group, as for Bullet's reader: a blank must follow the letter."""
 
 
-@dataclass(frozen=True)
-class ObjFile:
-    """Content of an OBJ file."""
-
-    vertices: Floats
-    """(v, 3), vertices of all groups."""
-    groups: tuple[NDArray[np.int64], ...]
-    """(f, 3) each: vertex indices in the file's order; groups without triangles are left out."""
-
-
-def read_obj(text: str) -> ObjFile:
-    """Read an OBJ file, polygons as fans of triangles; `ValueError` or `IndexError` otherwise."""
-    vertices: list[list[float]] = []
-    groups: list[list[tuple[int, int, int]]] = [[]]
-    for line in text.splitlines():
-        word, *values = line.split() or [""]
-        if word == "v":
-            vertices.append([float(value) for value in values[:3]])
-        elif word == "f":
-            # a corner such as 7/1/3 begins with its vertex; negative numbers count from the end
-            numbers = [int(value.split("/")[0]) for value in values]
-            first, *rest = [number - 1 if number > 0 else len(vertices) + number for number in numbers]
-            groups[-1] += ((first, a, b) for a, b in pairwise(rest))
-        elif OBJ_GROUP.match(line):
-            groups.append([])
-    return ObjFile(np.array(vertices).reshape(-1, 3), tuple(np.array(group) for group in groups if group))
-
-
 STL_HEADER, STL_TRIANGLE = 84, 50  # bytes
 STL_CORNERS = slice(12, 48)  # Bytes of a triangle's corners, after its normal
 
@@ -184,17 +156,31 @@ def read_parts(path: Path) -> tuple[Mesh, ...]:
         return parse_parts(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise AssetError(f"No convex parts can be read at '{path}': {error.strerror or error}.") from None
-    except (ValueError, IndexError) as error:
+    except ValueError as error:
         raise AssetError(f"'{path}' is not an OBJ file of convex parts: {error}.") from None
 
 
 def parse_parts(text: str) -> tuple[Mesh, ...]:
-    """Return the convex parts in an OBJ text, one for each group; errors of `read_obj`."""
-    read = read_obj(text)
-    parts = []
-    for group in read.groups:
+    """Return the groups of an OBJ text that have triangles, polygons as fans; else `ValueError`."""
+    vertices: list[list[float]] = []
+    groups: list[list[tuple[int, int, int]]] = [[]]
+    for line in text.splitlines():
+        word, *values = line.split() or [""]
+        if word == "v":
+            vertices.append([float(value) for value in values[:3]])
+        elif word == "f":
+            # a corner such as 7/1/3 begins with its vertex; negative numbers count from the end
+            numbers = [int(value.split("/")[0]) for value in values]
+            first, *rest = [number - 1 if number > 0 else len(vertices) + number for number in numbers]
+            groups[-1] += ((first, a, b) for a, b in pairwise(rest))
+        elif OBJ_GROUP.match(line):
+            groups.append([])
+    points, parts = np.array(vertices).reshape(-1, 3), []
+    for group in filter(None, groups):
         used, local = np.unique(group, return_inverse=True)
-        parts.append(Mesh(read.vertices[used], local.reshape(-1, 3)))
+        if used[0] < 0 or used[-1] >= len(points):
+            raise ValueError("a face names a vertex that is not there")
+        parts.append(Mesh(points[used], local.reshape(-1, 3)))
     return tuple(parts)
 
 

@@ -19,7 +19,6 @@ from qdgrasp_assets.grippers.hand_model import (
     finger_root,
     fixed_limbs,
     ray_exit,
-    with_followers,
 )
 from qdgrasp_assets.scene import Synergy
 
@@ -50,7 +49,7 @@ class ClosingMotion:
 
     def posture(self, share: float) -> Posture:
         """Return the positions of all joints, followers too, between open (0) and closed (1)."""
-        return with_followers(self.body.robot, interpolate_posture(self.opened, self.closed, share))
+        return self.body.with_followers(interpolate_posture(self.opened, self.closed, share))
 
     def tips(self, share: float) -> Floats:
         """Return the fingertips (f, 3) [m], base link's frame."""
@@ -170,7 +169,7 @@ class _Contacts:
             name: place + ways.get(name, 0.0) * (closed.get(name, place) - place)
             for name, place in opened.items()
         }
-        return with_followers(self.body.robot, places)
+        return self.body.with_followers(places)
 
     def _stop(self, moving: set[str], one: str, other: str, limit: float, step: tuple[float, float]) -> None:
         """Stop the fingers of two links within a step (low, high) of the way, before they meet."""

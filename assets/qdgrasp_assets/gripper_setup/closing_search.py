@@ -31,7 +31,6 @@ from qdgrasp_assets.grippers.hand_model import (
     find_fingers,
     finger_length,
     finger_root,
-    with_followers,
 )
 
 SHARE = 0.35  # A joint may close if it moves the fingertip by this share of the finger's largest motion
@@ -87,7 +86,7 @@ class ClosingSearch:
         """`roots` are the links that begin fingers, empty: found; joints in `still` do not close."""
         self.body = body
         self.leaders = [name for name in body.moving if name not in body.followers]
-        postures = [with_followers(body.robot, self._posture_at(share)) for share in (0.0, 0.5, 1.0)]
+        postures = [body.with_followers(self._posture_at(share)) for share in (0.0, 0.5, 1.0)]
         self.fingers = find_fingers(body, postures, roots)
         movable = [name for name in self.leaders if name not in still]
         self.groups = tuple(_groups(body, self.fingers, movable))
@@ -136,7 +135,8 @@ class ClosingSearch:
 
         `resting` has positions [rad or m], or k of them, of joints that do not close.
         """
-        distances = self._distances(self._tips(self._course(choices, resting)))
+        frames = self._course(choices, resting)
+        distances = self._distances([finger.tip(frames) for finger in self.fingers])
         shares = distances / np.maximum(distances[..., :1], 1e-6)
         left: Floats = (shares.min(axis=-1) + shares[..., : len(COURSE) // 2].mean(axis=-1)) / 2
         return left
@@ -155,21 +155,7 @@ class ClosingSearch:
             name: start + COURSE * (motion.closed[name] - start) if name in motion.closed else start
             for name, start in starts.items()
         }
-        for name, each in self.body.followers.items():
-            if each.leader in course:
-                course[name] = each.multiplier * course[each.leader] + each.offset
-        return self.body.robot.forward(course)
-
-    def _tips(self, frames: Mapping[str, Floats]) -> list[Floats]:
-        """Return each fingertip (k, s, 3) [m], base link's frame."""
-        tips = []
-        for middles in self._tip_middles:
-            parts = [
-                weight * (frames[link][..., :3, :3] @ point + frames[link][..., :3, 3])
-                for link, point, weight in middles
-            ]
-            tips.append(sum(parts[1:], parts[0]))
-        return tips
+        return self.body.robot.forward(self.body.with_followers(course))
 
     def _distances(self, tips: list[Floats]) -> Floats:
         """Return the weighted sum of distances (k, s) [m] between fingertips, and to the roots."""
@@ -187,7 +173,7 @@ class ClosingSearch:
         share of the thumb's length, plus a term for a thumb that does not turn against them.
         """
         frames = self._course(choices, resting)
-        tips = self._tips(frames)
+        tips = [finger.tip(frames) for finger in self.fingers]
         least = [
             np.linalg.norm(tips[number][:, :, None] - tip[:, None], axis=-1).min(axis=(1, 2))
             for other, tip in enumerate(tips)
@@ -207,15 +193,6 @@ class ClosingSearch:
         sense = group.senses[-1] * (1 if end else -1)
         axis: Floats = sense * (frames[joint.child][:, 0, :3, :3] @ joint.axis)
         return axis
-
-    @cached_property
-    def _tip_middles(self) -> list[list[tuple[str, Floats, float]]]:
-        """Links of each fingertip with the middle of its points (3,) [m] and their share of all."""
-        totals = [sum(len(points) for _, points in finger.tips) for finger in self.fingers]
-        return [
-            [(link, points.mean(axis=0), len(points) / total) for link, points in finger.tips]
-            for finger, total in zip(self.fingers, totals, strict=True)
-        ]
 
     @cached_property
     def _roots(self) -> Floats:
@@ -283,7 +260,7 @@ class ClosingSearch:
         turning = {name: float(np.sign(cosine)) for name, cosine in along.items() if abs(cosine) > PARALLEL}
         curls = {}
         for end in (1.0, 0.0):
-            posture = with_followers(self.body.robot, group_posture(self.body, group, end))
+            posture = self.body.with_followers(group_posture(self.body, group, end))
             curls[end] = abs(sum(sign * posture.get(name, 0.0) for name, sign in turning.items()))
         return curls if len(turning) > 1 and max(curls.values()) > LEAST_CURL else {}
 

@@ -48,9 +48,7 @@ class HandPostures:
     @cached_property
     def axis(self) -> Floats:
         """The approach axis (3,), unit."""
-        axis = np.array(self.file.approach_axis)
-        unit: Floats = axis / np.linalg.norm(axis)
-        return unit
+        return np.array(unit_vector(self.file.approach_axis))
 
     def posture(self, share: float) -> dict[str, float]:
         """Return all joints between open (0) and closed (1), each by itself."""
@@ -148,8 +146,7 @@ def _approach_faults(hand: HandPostures) -> Iterator[str]:
 
 def _tip_distance(hand: HandPostures, share: float) -> float:
     """Return the mean distance of fingertips [m]; of a single one, to the approach line."""
-    frames = hand.body.robot.forward(hand.posture(share))
-    tips = [finger.tip(frames) for finger in hand.closing.fingers]
+    tips = hand.closing.tips(share)
     if len(tips) == 1:
         return float(np.linalg.norm(tips[0] - (tips[0] @ hand.axis) * hand.axis))
     return float(np.mean([np.linalg.norm(one - other) for one, other in combinations(tips, 2)]))

@@ -25,7 +25,6 @@ from qdgrasp_assets.geometry.mesh import (
     Floats,
     Mesh,
     hull,
-    parse_parts,
     parts_to_obj,
     stl_triangles,
     unreadable_as,
@@ -34,7 +33,13 @@ from qdgrasp_assets.geometry.mesh_repair import simplify_mesh
 from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.draft import CENTRE, DraftOverrides, draft_axis, draft_closing
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
-from qdgrasp_assets.grippers.collision_shapes import CONCAVE, attribute_numbers, collision_elements, triangles
+from qdgrasp_assets.grippers.collision_shapes import (
+    CONCAVE,
+    attribute_numbers,
+    collision_elements,
+    geometry_corners,
+    triangles,
+)
 from qdgrasp_assets.grippers.hand_model import (
     collision_corners,
     contradicted_limits,
@@ -48,7 +53,6 @@ from qdgrasp_assets.grippers.urdf import (
     drop_visuals,
     edges,
     listed,
-    parse_origin,
     parse_robot,
     read_urdf,
 )
@@ -65,13 +69,12 @@ def hollow_meshes(hand: Urdf) -> Iterator[tuple[str, float]]:
         element = shape.find("geometry/mesh")
         if element is None or shape.get(CONCAVE) is not None:
             continue
-        parts = tuple(hull(corners) for corners in collision_corners(hand, link, shape) if is_solid(corners))
-        mesh, frame = read_mesh_of(hand, element), parse_origin(hand.path, shape.find("origin"))
-        surface = Mesh(mesh.vertices @ frame[:3, :3].T + frame[:3, 3], mesh.faces)
+        mesh = read_mesh_of(hand, element)
+        parts = own_hulls(hand, element, mesh)
         volume = sum(part.volume for part in parts)
-        if not parts or isclose(volume, surface.volume, rel_tol=VOLUME_TOLERANCE):
+        if not parts or isclose(volume, mesh.volume, rel_tol=VOLUME_TOLERANCE):
             continue
-        filled = FingerClearance(surface).fit(parts).filled
+        filled = FingerClearance(mesh).fit(parts).filled
         if filled > MUCH_FILLED:
             yield link, filled
 
@@ -83,6 +86,14 @@ def read_mesh_of(robot: Urdf, element: ET.Element) -> Mesh:
     with unreadable_as("The mesh '{}' cannot be read ({}); save it as an STL or OBJ file.", name):
         mesh = triangles(element, {name: content})
     return mesh.flipped() if np.prod(attribute_numbers(element, "scale", "1 1 1")) < 0 else mesh
+
+
+def own_hulls(robot: Urdf, element: ET.Element, mesh: Mesh) -> tuple[Mesh, ...]:
+    """Return the hulls that the simulator itself makes of a `<mesh>`, in the size of `mesh`; no flat ones."""
+    name = element.get("filename", "")
+    shapes = list(geometry_corners(element, {name: robot.mesh(name)})) or [mesh.vertices]
+    factor = np.ptp(mesh.vertices) / max(np.ptp(np.concatenate(shapes)), 1e-12)
+    return tuple(hull(factor * corners) for corners in shapes if is_solid(factor * corners))
 
 
 def is_solid(corners: Floats) -> bool:
@@ -142,7 +153,10 @@ class MeshSplitter:
 
     def _parts(self, link: str, name: str, element: ET.Element, mesh: Mesh) -> tuple[tuple[Mesh, ...], str]:
         """Return the fewest parts that leave the free space, else the finest, and the change."""
-        own, clearance = self._hulls_of(name, element, mesh), FingerClearance(mesh)
+        own = tuple(map(simplify_part, own_hulls(self._hand, element, mesh)))
+        if not own:
+            raise AssetError(f"The mesh '{name}' is flat: it encloses no volume; give it a thickness.")
+        clearance = FingerClearance(mesh)
         filled = clearance.fit(own).filled
         if filled <= MUCH_FILLED:
             kind = PurePosixPath(name).suffix.lower()
@@ -161,21 +175,6 @@ class MeshSplitter:
             f"was split into {len(found)} convex parts: its hull would fill the room before {percent} of its "
             f"surface, they fill {100 * left:.0f} %"
         )
-
-    def _hulls_of(self, name: str, element: ET.Element, mesh: Mesh) -> tuple[Mesh, ...]:
-        """Return the hulls that the simulator itself would make of a mesh, with few corners."""
-        shapes = [mesh.vertices]
-        if PurePosixPath(name).suffix.lower() == ".obj":
-            text = self._hand.mesh(name).decode("utf-8", "replace")
-            shapes = [
-                part.vertices * attribute_numbers(element, "scale", "1 1 1") for part in parse_parts(text)
-            ]
-            factor = np.ptp(mesh.vertices) / max(np.ptp(np.concatenate(shapes)), 1e-12)
-            shapes = [corners * factor for corners in shapes]
-        solids = tuple(simplify_part(hull(corners)) for corners in shapes if is_solid(corners))
-        if not solids:
-            raise AssetError(f"The mesh '{name}' is flat: it encloses no volume; give it a thickness.")
-        return solids
 
 
 DENSITY = 1000.0  # Density of links with shapes [kg/m3]

@@ -160,7 +160,8 @@ def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
     yield from _unknown_names(robot, "finger_links", file.finger_links, hand.links)
     yield from _unknown_names(robot, "joints", file.joints, moving)
     yield from _unknown_names(robot, "free_joints", file.free_joints, file.joints)
-    yield from _pair_faults(file, robot, hand)
+    paired = dict.fromkeys(chain.from_iterable(file.disabled_collisions))
+    yield from _unknown_names(robot, "disabled_collisions", paired, hand.links)
     yield from _original_base_faults(file, robot, hand)
     for synergy in file.synergies:
         yield from _unknown_names(robot, f"synergy '{synergy.name}'", synergy.joints, file.joints)
@@ -192,11 +193,6 @@ def _unknown_names(robot: Urdf, field: str, names: Any, known: Any) -> Iterator[
                 f"{field} names '{name}', which '{robot.path}' does not have below its base link; "
                 f"it has {', '.join(sorted(known)) or 'none'}"
             )
-
-
-def _pair_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
-    pairs, field = file.disabled_collisions, "disabled_collisions"
-    yield from _unknown_names(robot, field, dict.fromkeys(chain.from_iterable(pairs)), hand.links)
 
 
 def _original_base_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, takewhile
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from qdgrasp_assets.geometry.voxels import Hull, convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import collision_elements, collision_shape, part_corners
 from qdgrasp_assets.grippers.hand_geometry import neighbours, rigid_pieces
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
+
+Position = TypeVar("Position", float, Floats)
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class MimicJoint:
     offset: float
     """Position at the leader's zero [rad or m]."""
 
-    def position(self, leader: float) -> float:
+    def position(self, leader: Position) -> Position:
         """Return its position where its leader is at `leader` [rad or m]."""
         return self.multiplier * leader + self.offset
 
@@ -50,16 +53,6 @@ def followers(robot: Urdf) -> dict[str, MimicJoint]:
     moving = {joint.name for joint in robot.joints if joint.moves}
     found = {name: _root_leader(name, mimics) for name in mimics if name in moving}
     return {name: follower for name, follower in found.items() if follower.leader in moving - {name}}
-
-
-def with_followers(robot: Urdf, positions: Mapping[str, float]) -> dict[str, float]:
-    """Return the positions of leaders [rad or m], and those of their followers."""
-    following = {
-        name: each.position(positions[each.leader])
-        for name, each in followers(robot).items()
-        if each.leader in positions
-    }
-    return {**positions, **following}
 
 
 MOST_LEFT_OUT = 0.5
@@ -166,6 +159,11 @@ class HandModel:
     def followers(self) -> dict[str, MimicJoint]:
         """The joints that follow others."""
         return followers(self.robot)
+
+    def with_followers(self, positions: Mapping[str, Position]) -> dict[str, Position]:
+        """Return the positions of leaders [rad or m], and those of their followers."""
+        known = {name: each for name, each in self.followers.items() if each.leader in positions}
+        return {**positions, **{name: each.position(positions[each.leader]) for name, each in known.items()}}
 
     def leader(self, name: str) -> str:
         """Return the joint that a joint follows; itself if it follows none."""
@@ -303,11 +301,13 @@ class Finger:
     tips: tuple[tuple[str, Floats], ...]
     """Links with points (n, 3) of the tip [m], link frame."""
 
-    def tip(self, frames: dict[str, Floats]) -> Floats:
-        """Return the tip (3,) [m], in the frame of `frames`."""
-        points = [points @ frames[link][:3, :3].T + frames[link][:3, 3] for link, points in self.tips]
-        middle: Floats = np.concatenate(points).mean(axis=0)
-        return middle
+    def tip(self, frames: Mapping[str, Floats]) -> Floats:
+        """Return the tip (..., 3) [m], in the frame of `frames` (..., 4, 4)."""
+        middles = [
+            len(points) * (frames[link][..., :3, :3] @ points.mean(axis=0) + frames[link][..., :3, 3])
+            for link, points in self.tips
+        ]
+        return np.asarray(np.sum(middles, axis=0) / sum(len(points) for _, points in self.tips))
 
 
 def find_fingers(

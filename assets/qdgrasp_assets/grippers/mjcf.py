@@ -122,10 +122,11 @@ class _Translation:
         import mujoco
 
         self._path, self._model, self._mujoco = path, model, mujoco
-        self._link_names = _NameSet(model.body(number).name for number in range(model.nbody))
-        self._joint_names = _NameSet(model.joint(number).name for number in range(model.njnt))
-        self._links = [model.body(n).name or self._link_names.new(f"body_{n}") for n in range(model.nbody)]
-        self._joints = [model.joint(n).name or self._joint_names.new(f"joint_{n}") for n in range(model.njnt)]
+        bodies = [model.body(n).name for n in range(model.nbody)]
+        joints = [model.joint(n).name for n in range(model.njnt)]
+        self._link_names, self._joint_names = set(bodies), set(joints)
+        self._links = [name or _new_name(self._link_names, f"body_{n}") for n, name in enumerate(bodies)]
+        self._joints = [name or _new_name(self._joint_names, f"joint_{n}") for n, name in enumerate(joints)]
         mechanism = Mechanism(model, self._joints)
         self._couplings = find_couplings(mechanism)
         self._efforts = dict(zip(mechanism.joints, efforts(mechanism), strict=True))
@@ -187,7 +188,7 @@ class _Translation:
         anchor = np.zeros(3)
         for number, joint in enumerate(joints):
             is_last = number == len(joints) - 1
-            link = name if is_last else self._link_names.new(f"{name}_{self._joints[joint]}")
+            link = name if is_last else _new_name(self._link_names, f"{name}_{self._joints[joint]}")
             turns = self._joint_kind(joint) == self._mujoco.mjtJoint.mjJNT_HINGE
             place = model.jnt_pos[joint] if turns else anchor
             self._add_joint(joint, before, link, origin @ _shift(place - anchor))
@@ -196,7 +197,7 @@ class _Translation:
                 self._counts["chain"] += 1
             before, origin, anchor = link, np.eye(4), place
         if not joints:
-            fixed = self._joint_names.new(f"{name}_fixed")
+            fixed = _new_name(self._joint_names, f"{name}_fixed")
             add_joint(self.robot, fixed, "fixed", (before, name), **_origin(origin))
         self._anchors[body] = anchor
         inertial = _shift(-anchor) @ _frame(model.body_ipos[body], model.body_iquat[body])
@@ -301,19 +302,13 @@ def _round_solid(kind: Any, size: Floats) -> Mesh:
     return hull(np.concatenate([ball + end, ball - end]))
 
 
-class _NameSet:
-    """Names that are taken, so that new ones differ from them."""
-
-    def __init__(self, taken: Iterable[str]) -> None:
-        self._taken = set(taken)
-
-    def new(self, name: str) -> str:
-        """Return a name like this one that is not taken, and take it."""
-        free, number = name, 1
-        while free in self._taken:
-            free, number = f"{name}_{number}", number + 1
-        self._taken.add(free)
-        return free
+def _new_name(taken: set[str], name: str) -> str:
+    """Return a name like this one that is not taken, and take it."""
+    free, number = name, 1
+    while free in taken:
+        free, number = f"{name}_{number}", number + 1
+    taken.add(free)
+    return free
 
 
 def _frame(position: Floats, quaternion: Floats) -> Floats:

@@ -21,7 +21,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_assets.asset_paths import on_asset_path
-from qdgrasp_assets.geometry.mesh import read_obj
+from qdgrasp_assets.geometry.mesh import join, parse_parts
 from qdgrasp_assets.geometry.surface_points import BULLET_MARGIN
 from qdgrasp_assets.scene import Scene
 from qdgrasp_assets.ycb import PREFIX
@@ -89,7 +89,7 @@ def released_archive(scene: Scene) -> ReleasedArchive | None:
     extent = HAND_EXTENT.get(reference_hand(scene.gripper.name))
     if extent is None:
         return None
-    hulls = read_obj(scene.object.collision.decode()).vertices + np.array(scene.object.com_in_mesh)
+    hulls = join(parse_parts(scene.object.collision.decode())).vertices + np.array(scene.object.com_in_mesh)
     low, high = hulls.min(axis=0) - BULLET_MARGIN, hulls.max(axis=0) + BULLET_MARGIN
     side = extent + float((high - low).max())
     return ReleasedArchive((low + high) / 2 - side / 2, side)

@@ -34,7 +34,7 @@ from qdgrasp_worker.physical_episode import (
     FingerDrive,
     PhysicalEpisode,
 )
-from qdgrasp_worker.world import GraspContact
+from qdgrasp_worker.world import seen_from
 
 Rows: TypeAlias = NDArray[np.intp]
 """Places (k,) of worlds among those of a batch, ascending."""
@@ -236,21 +236,21 @@ class LockstepEpisodes:
     def _read(self, row: int, world: int, moved: StepResult) -> EpisodeResult:
         """Read a grasp after it has settled, `world` among those that moved last."""
         contacts = moved.contacts.of(world)
-        origin, back = moved.object_poses[0][world], conjugate(moved.object_poses[1][world])
         position, quaternion = self._object_poses()
-        now = conjugate(quaternion[row])
-        numbers, found = self._world.link_numbers, []
-        for _, link, _, point, normal, force in zip(*contacts, strict=True):
-            if (number := numbers.get(int(link))) is not None:
-                place, way = rotate(back, point - origin), rotate(back, normal)
-                found.append(GraspContact(number, place.tolist(), way.tolist(), float(force)))
+        now, numbers = conjugate(quaternion[row]), self._world.link_numbers
+        origin, turn = (each[world] for each in moved.object_poses)
+        found = [
+            (numbers[link], point, normal, float(force))
+            for _, link, _, point, normal, force in zip(*contacts, strict=True)
+            if link in numbers
+        ]
         return EpisodeResult(
             Outcome.DROPPED,
             self._finger_positions()[row].tolist(),
             len({*contacts.links.tolist()} & self._world.finger_links),
             max(0.0, float(-contacts.distances.min(initial=0.0))),
             settled=settled_pose((rotate(now, -position[row]), now), self._setups[row].pose),
-            contacts=found,
+            contacts=seen_from(origin, turn, found),
         )
 
     def _push(self, rows: Rows) -> list[int]:
