@@ -43,14 +43,10 @@ def path_problem(path: Path) -> str:
     return A_FOLDER if stat.S_ISDIR(mode) else SPECIAL
 
 
-def asset_folders() -> tuple[Path, ...]:
-    """Return the folders that `QDGRASP_ASSET_PATH` names, separated by colons, in order."""
-    return tuple(named_path(part) for part in os.environ.get(ASSET_PATH, "").split(os.pathsep) if part)
-
-
 def on_asset_path(relative: str) -> Path | None:
-    """Return the first match of a relative name on the asset path; None if not found."""
-    return next((found for folder in asset_folders() if (found := folder / relative).exists()), None)
+    """Return the first match of a relative name in the folders of the asset path; None if not found."""
+    folders = map(named_path, filter(None, os.environ.get(ASSET_PATH, "").split(os.pathsep)))
+    return next((found for folder in folders if (found := folder / relative).exists()), None)
 
 
 def searched() -> str:

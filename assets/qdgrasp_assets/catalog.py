@@ -140,15 +140,10 @@ def gripper_path(name: str) -> Path:
 def find_object(spec: RunSpec) -> ObjectModel:
     """Return the object of a spec, one of the catalog, with its mass and friction."""
     name = spec.object
-    if spec.scale is not None:
+    if spec.scale is not None or spec.mesh is not None:
         raise AssetError(
-            f"The object '{name}' of the catalog has its own size: leave --units out, which is for mesh "
-            "files."
-        )
-    if spec.mesh is not None:
-        raise AssetError(
-            f"The object '{name}' of the catalog is taken as it is: leave --mesh out, which is for mesh "
-            "files."
+            f"The object '{name}' of the catalog has its own size and surface: leave --units and --mesh out, "
+            "which are for mesh files."
         )
     target = stand_in(name) if name in STAND_INS else ycb.read_scan(name, spec.protocol)
     mass = target.mass if spec.mass is None else spec.mass

@@ -21,7 +21,7 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import (
     check_file,
     check_stated,
-    linked_files,
+    linked_names,
     read_mesh_file,
 )
 from qdgrasp_assets.geometry.mesh_repair import (
@@ -233,7 +233,13 @@ def check_mesh(
         entry = cache / f"{_content_key(path, repr((scale, preparation)))}.json"
         with suppress(OSError, msgspec.MsgspecError, RecursionError):
             return msgspec.json.decode(entry.read_bytes(), type=MeshCheck)
-        found = _check(read_draft(path, scale, preparation), preparation)
+        draft = read_draft(path, scale, preparation)
+        found = MeshCheck(
+            faults=draft.object_faults(glued=bool(preparation and preparation.glued)),
+            volume=0.0 if draft.faults else draft.mesh.volume,
+            triangles=len(draft.mesh.faces),
+            repairs=draft.repairs,
+        )
     except AssetError as error:
         return MeshCheck(faults=(str(error).replace(f"'{path}' ", "").rstrip("."),))
     except OSError as error:
@@ -245,15 +251,9 @@ def check_mesh(
     return found
 
 
-def _check(draft: ObjectDraft, preparation: MeshPreparation | None) -> MeshCheck:
-    mesh, faults = draft.mesh, draft.object_faults(glued=bool(preparation and preparation.glued))
-    volume = 0.0 if draft.faults else mesh.volume
-    return MeshCheck(faults=faults, volume=volume, triangles=len(mesh.faces), repairs=draft.repairs)
-
-
 def _content_key(path: Path, asked: str) -> str:
     """Return the sha256 of a mesh file's bytes, what is asked of it, and the checking code."""
-    digests = [file_digest(file) for file in (path, *linked_files(path))]
+    digests = [file_digest(file) for file in (path, *map(path.parent.joinpath, linked_names(path)))]
     return hashlib.sha256(
         " ".join((*digests, path.suffix.lower(), asked, building_code())).encode()
     ).hexdigest()

@@ -21,7 +21,7 @@ from msgspec import Struct, convert
 from qdgrasp_assets.asset_paths import data_folder, on_asset_path, searched, write_whole
 from qdgrasp_assets.geometry.collision_parts import Tell, collision_parts
 from qdgrasp_assets.geometry.mesh import Mesh, read_parts
-from qdgrasp_assets.geometry.mesh_io import read_mesh
+from qdgrasp_assets.geometry.mesh_io import read_mesh_file
 from qdgrasp_assets.geometry.mesh_repair import drop_degenerate, surface_faults
 from qdgrasp_assets.object_model import ObjectModel, read_solid
 from qdgrasp_assets.stand_ins import STAND_INS
@@ -136,7 +136,7 @@ def read_scan(name: str, protocol: str) -> ObjectModel:
     else:
         same = STAND_INS[name.removeprefix(PREFIX)]
         source, mass, com = "fetched", same.mass, same.com
-        mesh = correct_mesh(read_mesh(fetched_mesh(name)), SCANS[name])
+        mesh = correct_mesh(read_mesh_file(fetched_mesh(name)).mesh, SCANS[name])
         collision_source, parts = collision_parts(mesh, name)
     return ObjectModel(
         name=name,
@@ -280,7 +280,7 @@ def _accept(name: str, scan: Scan, archive: Path) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / Path(scan.member).name
         file.write_bytes(content)
-        read = correct_mesh(read_mesh(file), scan)
+        read = correct_mesh(read_mesh_file(file).mesh, scan)
     if wrong := scan_differences(read, scan) or surface_faults(read):
         raise AssetError(f"it is not that scan: {'; '.join(wrong)}.")
     mesh = fetched_mesh(name)

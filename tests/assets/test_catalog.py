@@ -52,7 +52,7 @@ def test_mass_and_friction_of_the_spec_win():
 
 
 def test_an_object_of_the_catalog_has_its_own_size():
-    sentence = r"'mug' of the catalog has its own size: leave --units out"
+    sentence = r"'mug' of the catalog has its own size and surface: leave --units and --mesh out"
     with pytest.raises(AssetError, match=sentence):
         scene(object="mug", scale=0.5)
 

@@ -1,6 +1,5 @@
 """Episodes of `lift` in each engine: objects lifted off a table, and independent episodes."""
 
-import msgspec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,10 +8,9 @@ from tests.worker.test_physical_episode import ABOVE, physical
 from tests.worker.test_pose_filters import ABOVE_IT, UNDER
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import AssetError, InputError
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_protocol.spec import run_spec
-from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.evaluation_protocols import LIFT
 
 ENGINES = [None, "mujoco"]
@@ -77,5 +75,3 @@ def test_it_needs_one_resting_pose():
         run_spec(asked | {"resting_pose": "any"})
     with pytest.raises(InputError, match="mujoco-warp"):
         run_spec(asked | {"engine": "mujoco-warp", "approach_distance": 0.0})
-    with pytest.raises(AssetError, match="one resting pose"):
-        make_world(msgspec.structs.replace(physical(protocol="lift"), resting_poses=()), LIFT)

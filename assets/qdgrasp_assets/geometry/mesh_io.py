@@ -105,11 +105,6 @@ class FileMesh:
     """Metres to a unit, if the file states it."""
 
 
-def read_mesh(path: Path) -> Mesh:
-    """Read the triangles of any readable mesh file; otherwise as `read_mesh_file`."""
-    return read_mesh_file(path).mesh
-
-
 def read_mesh_file(path: Path) -> FileMesh:
     """Read a mesh file; `AssetError` if it is not there, no mesh of a known format, or empty."""
     check_file(path)
@@ -217,11 +212,6 @@ def linked_names(path: Path) -> tuple[str, ...]:
         names = [str(buffer.get("uri", "data:")) for buffer in json.loads(path.read_bytes())["buffers"]]
         return tuple(name for name in names if not name.startswith("data:"))
     return ()
-
-
-def linked_files(path: Path) -> tuple[Path, ...]:
-    """Return the files beside a glTF file that hold its geometry."""
-    return tuple(path.parent / name for name in linked_names(path))
 
 
 def to_bytes(mesh: Mesh, suffix: str) -> bytes:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,7 +86,10 @@ class ClosingSearch:
         """`roots` are the links that begin fingers, empty: found; joints in `still` do not close."""
         self.body = body
         self.leaders = [name for name in body.moving if name not in body.followers]
-        postures = [body.with_followers(self._posture_at(share)) for share in (0.0, 0.5, 1.0)]
+        postures = [
+            body.with_followers({name: mix(*body.range(name), share) for name in self.leaders})
+            for share in (0.0, 0.5, 1.0)
+        ]
         self.fingers = find_fingers(body, postures, roots)
         movable = [name for name in self.leaders if name not in still]
         self.groups = tuple(_groups(body, self.fingers, movable))
@@ -199,9 +202,6 @@ class ClosingSearch:
         """The middle of the fingers' roots (3,) [m]."""
         middle: Floats = np.mean([finger_root(self.body, finger) for finger in self.fingers], axis=0)
         return middle
-
-    def _posture_at(self, share: float) -> Posture:
-        return {name: mix(*self.body.range(name), share) for name in self.leaders}
 
     def _start(self, name: str) -> float:
         """Return zero, or the middle of the range where zero is not well within it."""
@@ -316,7 +316,10 @@ class ClosingSearch:
         grid = [np.linspace(*self.body.range(name), looks) for name in rest]
         tried = np.array([[plain[name] for name in rest], *product(*grid)])
         places = {**plain, **dict(zip(rest, tried.T, strict=True))}
-        badness = self._badness(number, choices, places)
+        if self._is_thumb(number):
+            badness = self.opposition(number, choices, places)
+        else:
+            badness = np.atleast_1d(self.left(choices, places))
         spans = np.array([np.ptp(self.body.range(name)) for name in rest])
         turned = (np.abs(tried - tried[0]) / spans).sum(axis=1)
         scores = badness + TURN_COST * turned
@@ -332,11 +335,6 @@ class ClosingSearch:
     def _is_free(self, number: int, names: Iterable[str]) -> bool:
         """Return whether joints of a finger other than a thumb may stay at zero."""
         return not self._is_thumb(number) and all(map(self._may_rest_at_zero, names))
-
-    def _badness(self, number: int, choices: dict[int, Choice], places: Mapping[str, Any]) -> Floats:
-        if not self._is_thumb(number):
-            return np.atleast_1d(self.left(choices, places))
-        return self.opposition(number, choices, places)
 
     def _is_clear(self, number: int, choices: dict[int, Choice], resting: Posture) -> bool:
         """Return whether an open finger is in neither palm nor other fingers.

@@ -89,7 +89,7 @@ def read_mesh_of(robot: Urdf, element: ET.Element) -> Mesh:
 
 
 def own_hulls(robot: Urdf, element: ET.Element, mesh: Mesh) -> tuple[Mesh, ...]:
-    """Return the hulls that the simulator itself makes of a `<mesh>`, in the size of `mesh`; no flat ones."""
+    """Return the hulls that the simulator makes of a `<mesh>`, in the size of `mesh`; none flat."""
     name = element.get("filename", "")
     shapes = list(geometry_corners(element, {name: robot.mesh(name)})) or [mesh.vertices]
     factor = np.ptp(mesh.vertices) / max(np.ptp(np.concatenate(shapes)), 1e-12)

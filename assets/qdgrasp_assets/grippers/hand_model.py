@@ -194,12 +194,8 @@ class HandModel:
 
     def corners(self, links: Iterable[str], posture: Mapping[str, float]) -> Floats:
         """Return all corners (n, 3) [m] of some links, base link's frame."""
-        frames = self.robot.forward(posture)
-        found = [
-            part.corners @ frames[link][:3, :3].T + frames[link][:3, 3]
-            for link in links
-            for part in self.parts.get(link, ())
-        ]
+        placed = self.parts_at(posture, [link for link in links if link in self.parts])
+        found = [part.corners for parts in placed.values() for part in parts]
         return np.concatenate([np.zeros((0, 3)), *found])
 
     def joint(self, name: str) -> UrdfJoint:

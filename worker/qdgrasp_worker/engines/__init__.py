@@ -2,7 +2,7 @@
 
 from importlib import import_module
 
-from qdgrasp_assets.scene import RestingPose, Scene
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_protocol.spec import DEFAULT_ENGINE, DEVICE_ENGINE, check_engine, engine_names
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol
@@ -33,19 +33,10 @@ def make_world(scene: Scene, protocol: EvaluationProtocol, name: str = "") -> Sh
     where, prefix = ENGINES[name]
     module = import_module(where)
     if protocol.physics:
-        table = lifting_table(scene) if protocol.lift else None
+        table = scene.resting_poses[0] if protocol.lift else None
         physical: PhysicalWorld = getattr(module, f"{prefix}PhysicalWorld")(scene, protocol.physics, table)
         return physical
     if name == DEVICE_ENGINE:
         raise AssetError(f"The engine {name} does not simulate the protocol '{protocol.name}'.")
     shaken: ShakenWorld = getattr(module, f"{prefix}ShakenWorld")(scene)
     return shaken
-
-
-def lifting_table(scene: Scene) -> RestingPose:
-    """The resting pose from which a scene's object is lifted; AssetError without one."""
-    if len(scene.resting_poses) != 1:
-        raise AssetError(
-            f"The protocol '{scene.protocol}' needs a scene with one resting pose of its object."
-        )
-    return scene.resting_poses[0]
