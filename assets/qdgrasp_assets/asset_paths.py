@@ -44,7 +44,7 @@ def path_problem(path: Path) -> str:
 
 
 def on_asset_path(relative: str) -> Path | None:
-    """Return the first match of a relative name in the folders of the asset path; None if not found."""
+    """Return the first match of a relative name on the asset path; None if not found."""
     folders = map(named_path, filter(None, os.environ.get(ASSET_PATH, "").split(os.pathsep)))
     return next((found for folder in folders if (found := folder / relative).exists()), None)
 
