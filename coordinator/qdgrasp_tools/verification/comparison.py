@@ -4,11 +4,10 @@ from collections.abc import Mapping
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 
 from qdgrasp_coordinator.storage import platforms
 from qdgrasp_protocol.replay_messages import ReplayAnswer
-from qdgrasp_protocol.rows import RESULT, Outcome, Rows
+from qdgrasp_protocol.rows import RESULT, Outcome
 from qdgrasp_protocol.text import counted
 
 ROWS_SHOWN = 10  # Rows that are shown to a person one by one
@@ -97,17 +96,6 @@ class VerificationReport(Struct, frozen=True, kw_only=True):
 GPU_BITS = "on a GPU rows have no fixed bits"
 
 
-def compare_rows(recorded: Rows, now: Rows) -> dict[str, NDArray[np.bool_]]:
-    """Flag for each result column the rows (n,) of one shape that differ in any bit."""
-    differs = {}
-    for name in (column.name for column in RESULT):
-        first, second = (
-            np.ascontiguousarray(rows[name]).reshape(len(rows), -1).view(np.uint8) for rows in (recorded, now)
-        )
-        differs[name] = np.asarray((first != second).any(axis=1))
-    return differs
-
-
 def row_with_answer(row: np.void, answer: ReplayAnswer) -> np.void:
     """Return a row with the results of its replay in place of the recorded ones."""
     now = row.copy()
@@ -121,11 +109,11 @@ def row_with_answer(row: np.void, answer: ReplayAnswer) -> np.void:
 
 
 def row_differences(recorded: np.void, now: np.void) -> dict[str, ComparedValues]:
-    """Return the columns in which two rows differ in any bit, with both values."""
+    """Return the results in which two rows of one shape differ in any bit, with both values."""
     return {
         name: ComparedValues(recorded=column_words(recorded, name), now=column_words(now, name))
-        for name, differs in compare_rows(recorded.reshape(1), now.reshape(1)).items()
-        if differs[0]
+        for name in (column.name for column in RESULT)
+        if recorded[name].tobytes() != now[name].tobytes()
     }
 
 

@@ -16,7 +16,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats
@@ -34,12 +33,12 @@ from qdgrasp_protocol.replay_messages import (
     REQUEST,
     SCENE,
     Phase,
-    Pose,
     ReplayAnswer,
     ReplayRequest,
     Snapshot,
 )
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_tools.export.grasp_table import to_matrices
 from qdgrasp_tools.local.supervisor import GRACE, local_platform
 from qdgrasp_tools.rendering.ray_renderer import (
     LayeredImage,
@@ -244,22 +243,16 @@ class SnapshotRenderer:
 
     def _placed(self, snapshot: Snapshot) -> list[tuple[DrawnBody, Floats]]:
         """All bodies with their frames (4, 4), the object at the end."""
-        frames = self._robot.forward(snapshot.joints, pose_frame(snapshot.root))
+        root, target = to_matrices(np.array([snapshot.root, snapshot.object], dtype=np.float64))
+        frames = self._robot.forward(snapshot.joints, root)
         hand = [(body, frames[link]) for link, body in self._links.items()]
-        return [*hand, (self._object, pose_frame(snapshot.object))]
+        return [*hand, (self._object, target)]
 
     def _painted(self, snapshot: Snapshot, camera: ParallelCamera, *, is_flat: bool = False) -> LayeredImage:
         image = LayeredImage(camera)
         for body, frame in self._placed(snapshot):
             paint_body(image, body.rays, frame, body.hue, is_flat=is_flat)
         return image
-
-
-def pose_frame(pose: Pose) -> NDArray[np.float64]:
-    """The frame (4, 4) of a pose."""
-    frame = np.eye(4)
-    frame[:3, :3], frame[:3, 3] = Rotation.from_quat(pose[3:]).as_matrix(), pose[:3]
-    return frame
 
 
 PALETTE_FRAMES = 8  # Frames that a film's colours are taken from
