@@ -61,21 +61,26 @@ class LiveProgress(Progress):
 class LineProgress:
     """A line every few seconds, for logs."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str = "", after: float = 0.0) -> None:
         self._name = name
-        self._next = 0.0
+        self._next = time.monotonic() + after
         self._trouble = ""
 
     def show(self, figures: JobStatus) -> None:
         """Print a line if the last one is long enough ago, or if trouble came or went."""
-        if time.monotonic() >= self._next or figures.obstacle != self._trouble:
-            self._trouble = figures.obstacle
+        self._next = self._next if figures.obstacle == self._trouble else 0.0
+        self._trouble = figures.obstacle
+        self.tell(f"{self._name}: {figures.words}, {figures.left}")
+
+    def tell(self, sentence: str) -> None:
+        """Print a line if the last one is long enough ago."""
+        if time.monotonic() >= self._next:
             self._next = time.monotonic() + QUIET_INTERVAL
-            self.say(f"{self._name}: {figures.words}, {figures.left}")
+            self.say(sentence)
 
     def say(self, sentence: str) -> None:
         """Print a line."""
-        _print_line(sentence)
+        print(printable(sentence), file=sys.stderr, flush=True)  # noqa: T201  # progress is what this prints
 
 
 @contextmanager
@@ -94,21 +99,9 @@ def progress_messages() -> Iterator[Tell]:
     """Yield a function that shows what a command does; nothing is left on a terminal."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        due = time.monotonic() + QUIET_INTERVAL
-
-        def tell(sentence: str) -> None:
-            nonlocal due
-            if time.monotonic() >= due:
-                due = time.monotonic() + QUIET_INTERVAL
-                _print_line(sentence)
-
-        yield tell
+        yield LineProgress(after=QUIET_INTERVAL).tell
         return
     columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as shown:
         task = shown.add_task("")
         yield lambda sentence: shown.update(task, description=printable(sentence))
-
-
-def _print_line(sentence: str) -> None:
-    print(printable(sentence), file=sys.stderr, flush=True)  # noqa: T201  # progress is what this prints
