@@ -4,8 +4,7 @@ A gripper, an object and a protocol as keyword arguments; and arrays of genomes.
 """
 
 import os
-from collections.abc import Callable, Iterable
-from typing import Any, Literal, Required, TypedDict, TypeVar
+from typing import Any, Literal, Required, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,22 +16,10 @@ from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import GIVEN, Genomes, Layout
 from qdgrasp_protocol.spec import BaseName, EngineChoice, ProtocolName, RunSpec, run_spec
 
-Made = TypeVar("Made")
-
 
 def plain_number(value: Any) -> Any:
     """Return a scalar of numpy as the number that it is, and anything else as it is."""
     return value.item() if isinstance(value, np.generic) else value
-
-
-def call_factory(name: str, make: Callable[..., Made], of: object, verbs: Iterable[str]) -> Made:
-    """Call a program's factory, and check that the result has these methods; else InputError."""
-    if not callable(make):
-        raise ImpossibleValue(name, make, "a class or function that is called with the genes")
-    made = make(of)
-    if missing := [verb for verb in verbs if not callable(getattr(made, verb, None))]:
-        raise InputError(f"The result of {name}, {made!r}, has no {' and no '.join(missing)}.")
-    return made
 
 
 class SceneArguments(TypedDict, total=False):

@@ -33,24 +33,14 @@ from qdgrasp_protocol.text import counted
 from qdgrasp_tools.local.supervisor import LocalSession, check_engines
 
 
-class GenomeRequest:
+class GenomeRequest(MemorySink):
     """Genomes that were asked for together, and their rows."""
 
     def __init__(self, plan: RunPlan) -> None:
+        super().__init__(plan.shape)
         self.plan = plan
-        self.memory = MemorySink(plan.shape)
-        self.rows: Future[Rows] = Future()
-        """Rows as in a journal, trials too."""
-
-    def settle(self) -> None:
-        """Set the result once all rows are there."""
-        if self.plan.pipeline.finished is not None and not self.rows.done():
-            self.rows.set_result(self.memory.rows)
-
-    def fail(self, why: BaseException) -> None:
-        """Pass an error to the thread that waits for the rows."""
-        if not self.rows.done():
-            self.rows.set_exception(why)
+        self.answer: Future[Rows] = Future()
+        """All rows as in a journal, trials too."""
 
 
 class GenomeRequests(RunQueue):
@@ -198,7 +188,7 @@ class Evaluations:
         if self._end is not None:
             raise self._end
         try:
-            return request.rows.result(timeout)
+            return request.answer.result(timeout)
         except TimeoutError:
             genomes = counted(len(asked), "genome")
             raise TimeoutError(f"After {timeout:g} s there are not all rows of {genomes}.") from None
@@ -214,16 +204,16 @@ class Evaluations:
         else:
             self._end = EndedEarly("The job has ended.")
         for request in self._pending:
-            request.fail(self._end)
+            request.answer.set_exception(self._end)
 
     def _settle(self) -> None:
         for request in list(self._pending):
-            request.settle()
-            if request.rows.done():
+            if request.plan.pipeline.finished is not None:
+                request.answer.set_result(request.rows)
                 self._pending.remove(request)
 
     def _record(self, plan: RunPlan) -> MemorySink:
-        return next(request.memory for request in self._pending if request.plan is plan)
+        return next(request for request in self._pending if request.plan is plan)
 
     def _leave(self) -> None:
         self._stop.set(signal.SIGTERM)

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from qdgrasp.arguments import (
     SceneArguments,
-    call_factory,
     check_genomes,
     layout_of,
     spec_from_arguments,
@@ -22,7 +21,7 @@ from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue, plan_run, prepare_scene
 from qdgrasp_coordinator.search.registry import CUSTOM
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import FolderError, ImpossibleValue, UnknownName
+from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Genomes, Layout, Rows
 from qdgrasp_protocol.spec import MAX_POPULATION, RunSpec, differences
@@ -56,7 +55,11 @@ class CheckedSearch:
     """A custom search whose genomes are checked before they are evaluated."""
 
     def __init__(self, make: Make, layout: Layout) -> None:
-        self._search = call_factory("make", make, layout, ("ask", "tell"))
+        if not callable(make):
+            raise ImpossibleValue("make", make, "a class or function that is called with the genes")
+        self._search = made = make(layout)
+        if missing := [verb for verb in ("ask", "tell") if not callable(getattr(made, verb, None))]:
+            raise InputError(f"The result of make, {made!r}, has no {' and no '.join(missing)}.")
         self._layout = layout
 
     def ask(self, generation: int) -> Genomes:

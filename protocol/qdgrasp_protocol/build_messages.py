@@ -5,13 +5,12 @@ A shape is an object's mesh, its convex parts and surface points, as scenes hold
 
 import hashlib
 import zlib
-from collections.abc import Iterable
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 
-from qdgrasp_protocol.messages import BatchId, Count, Digest, Message, Number, ShownKey, Text, Wid, inflate
+from qdgrasp_protocol.messages import BatchId, Count, Digest, Message, Number, ShownKey, Text, Wid
 
 
 class MeshPreparation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -85,11 +84,6 @@ def split_payload(payload: bytes) -> tuple[bytes, ...]:
     """Return a payload deflated (zlib), in pieces as messages carry them."""
     deflated = zlib.compress(payload, 1)
     return tuple(deflated[start : start + PIECE_SIZE] for start in range(0, len(deflated), PIECE_SIZE))
-
-
-def join_payload(pieces: Iterable[bytes], most: int) -> bytes:
-    """Return the payload in deflated pieces; raises MessageError as `inflate`."""
-    return inflate(b"".join(pieces), most)
 
 
 class Build(Message, frozen=True, kw_only=True):

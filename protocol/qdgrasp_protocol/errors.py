@@ -168,12 +168,6 @@ class RecorderFellBack(QdgraspError):
             f"The recorder reports {reported} durable rows, expected {durable} to {sent}: its disk was "
             "restored or it serves another coordinator; the run is to be replayed from its journal."
         )
-        self.run = ""  # Run of the rows; empty where there is one run only
-
-    def of(self, run: str) -> "RecorderFellBack":
-        """The same, for a run."""
-        self.run = run
-        return self
 
 
 class EndedEarly(QdgraspError):

@@ -300,17 +300,12 @@ class ProcessSupervisor:
         """Most seconds that a process may be given to stop."""
         return max(0.0, self._grace - GRACE_MARGIN)
 
-    def start(self, name: str, module: str, arguments: Iterable[str] | Arguments) -> None:
-        """Start `python -m module arguments` as the process `name`.
-
-        A function as arguments is called before each start.
-        """
+    def start(self, name: str, module: str, arguments: Arguments) -> None:
+        """Start `python -m module arguments` as the process `name`."""
         if self._logs is not None:
             self._logs.mkdir(parents=True, exist_ok=True)
         log = None if self._logs is None else self._logs / f"{name}.log"
-        fixed = [] if callable(arguments) else list(arguments)
-        function = arguments if callable(arguments) else lambda: fixed
-        child = ChildProcess(name, module, function, log, RestartPolicy(self._steady))
+        child = ChildProcess(name, module, arguments, log, RestartPolicy(self._steady))
         child.start(time.monotonic())
         self._children[name] = child
 

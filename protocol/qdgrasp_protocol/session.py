@@ -25,6 +25,7 @@ from qdgrasp_protocol.errors import EndpointError, SecurityError
 log = structlog.get_logger()
 
 LOOPBACK, PORT = "127.0.0.1", 7447
+LOOPBACK_OF = {"0.0.0.0": LOOPBACK, "::": "[::1]"}  # noqa: S104  # by the host that stands for all interfaces
 HOST_AND_PORT = re.compile(r"(?P<protocol>tcp|tls)/(?P<host>[^\s,]+):(?P<port>[0-9]{1,5})(#\S+)?")
 SOCKET_FILE = re.compile(r"(?P<protocol>unixsock-stream)/[^\s,]+")
 
@@ -73,25 +74,14 @@ class Endpoint:
         except ValueError:
             return self.host == "localhost"
 
-    @property
-    def from_here(self) -> str:
-        """Address for sessions on this machine: loopback, if it listens on all interfaces."""
-        return self._with_host({4: LOOPBACK, 6: "[::1]"})
+    def reached_from(self, *, here: bool) -> str:
+        """Return the address for sessions on this machine, or on others.
 
-    @property
-    def from_elsewhere(self) -> str:
-        """Address for sessions on other machines: this one's name, if it listens on all interfaces."""
-        return self._with_host(dict.fromkeys((4, 6), socket.gethostname()))
-
-    def _with_host(self, hosts: Mapping[int, str]) -> str:
-        """Return the endpoint, with a host of its version of IP where it listens on all interfaces."""
-        try:
-            address = ipaddress.ip_address(self.host)
-        except ValueError:
+        Where it listens on all interfaces, that is loopback, or this machine's name.
+        """
+        if self.host not in LOOPBACK_OF:
             return self.text
-        if not address.is_unspecified:
-            return self.text
-        return f"{self.protocol}/{hosts[address.version]}:{self.port}"
+        return f"{self.protocol}/{LOOPBACK_OF[self.host] if here else socket.gethostname()}:{self.port}"
 
 
 def parse_endpoints(text: str) -> tuple[Endpoint, ...]:

@@ -13,7 +13,7 @@ from tests.system.commands import Commands
 
 import qdgrasp
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.storage.job_folder import JobRecord
+from qdgrasp_coordinator.storage.job_folder import new_job
 from qdgrasp_coordinator.storage.outputs import LOGS
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 
@@ -159,7 +159,7 @@ def run_of(target: str, seed: int = 0) -> Maker:
     def make(prepared: Prepared, path: Path) -> None:
         found = (prepared.make("all") / "runs").glob(f"panda-{target}-aimed-s{seed}-*")
         shutil.copytree(next(found), path)
-        for name, content in JobRecord.begun(path).file.items():
+        for name, content in new_job(path).items():
             (path / name).write_bytes(content)
         (path / LOGS).mkdir()
 

@@ -144,7 +144,7 @@ class Job:
         with ExitStack() as stack:
             for number in range(workers):
                 stack.enter_context(FakeWorker(self.network.session(), made_id(number)).at_work())
-            self.service.run(lambda now: self.open.append(self.service.status(now).runs_open))
+            self.service.run(lambda now: self.open.append(self.service.scheduler.status(now).runs_open))
 
     @contextmanager
     def serving(self) -> Iterator[ServiceThread]:

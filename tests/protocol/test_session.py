@@ -77,9 +77,9 @@ def test_where_strangers_get_to_nobody_listens_unless_it_is_meant(text: str) -> 
     ],
 )
 def test_who_listens_everywhere_is_found_on_loopback(text: str, near: str) -> None:
-    assert Endpoint.parse(text).from_here == near
+    assert Endpoint.parse(text).reached_from(here=True) == near
     far = re.sub(r"(127\.0\.0\.1|\[::1\]):7000", f"{socket.gethostname()}:7000", near)
-    assert Endpoint.parse(text).from_elsewhere == far
+    assert Endpoint.parse(text).reached_from(here=False) == far
 
 
 WORKER = Credentials(Path("/etc/qdgrasp"), Role.WORKER)

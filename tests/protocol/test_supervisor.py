@@ -46,7 +46,7 @@ def processes(tmp_path):
 
 def start(processes: ProcessSupervisor, code: str, name: str = "started") -> subprocess.Popen[bytes]:
     """Start a process that executes some code."""
-    processes.start(name, "timeit", ["-n1", "-r1", code])
+    processes.start(name, "timeit", lambda: ["-n1", "-r1", code])
     return processes.process(name)
 
 

@@ -534,7 +534,8 @@ class SimulationChecker:
         if held > CREDIT and not self._stage.is_lossy:
             unknown = sum(checker.taken_back[worker.wid] for checker in self._dispatches.values())
             require(held <= CREDIT + unknown, "bounded work", worker.name, f"holds {held}")
-        known = {task.work.batch for task in worker.supervisor.tasks} | set(session.held)
+        tasks = [*worker.supervisor._requeued, *worker.supervisor._sent]
+        known = {task.work.batch for task in tasks} | set(session.held)
         under_way = worker.service._builder.build
         known |= {under_way.batch} if under_way else set()
         require(session._begun <= known, "bounded memory", worker.name, "remembers batches that are gone")

@@ -121,14 +121,22 @@ def worker(
             pool = WorkerPool(workers, [*sys.argv[1:], "--workers", "1"], grace=grace)
             pool.run(stop)
             raise typer.Exit(stop.exit_code or pool.exit_code)
-        from qdgrasp_worker.runtime.simulator_supervisor import SimulatorSupervisor, simulator_command
+        from qdgrasp_worker.runtime.simulator_supervisor import (
+            MEMORY_HEADROOM,
+            SimulatorClient,
+            SimulatorSupervisor,
+            simulator_command,
+        )
 
         credentials = Credentials.find(security, Role.WORKER)
         inbox: SimpleQueue[Any] = SimpleQueue()
-        command = simulator_command(evaluator, found)
-        memory = memory or (DEVICE_MEMORY if found else MEMORY)
+        memory = MEGABYTE * (memory or (DEVICE_MEMORY if found else MEMORY))
         row_seconds = row_seconds or (DEVICE_SECONDS if found else ROW_SECONDS)
-        with SimulatorSupervisor.open(inbox.put, row_seconds, memory * MEGABYTE, nice, command) as simulator:
+        limits = map(str, (row_seconds, round(MEMORY_HEADROOM * memory), nice))
+        command = [*simulator_command(evaluator, found), *limits]
+        with SimulatorSupervisor(
+            lambda: SimulatorClient(command, inbox.put), row_seconds=row_seconds, memory=memory
+        ) as simulator:
             from qdgrasp_protocol.zenoh_bus import ZenohBus  # the first simulator starts meanwhile
             from qdgrasp_worker.runtime.service import WorkerService
 
@@ -192,7 +200,7 @@ class WorkerPool:
 
     def _start(self, processes: ProcessSupervisor) -> None:
         for name in [f"worker-{number}" for number in range(self._size)]:
-            processes.start(name, "qdgrasp_worker.cli", self._arguments)
+            processes.start(name, "qdgrasp_worker.cli", lambda: self._arguments)
             self._running.add(name)
 
     def on_death(self, processes: ProcessSupervisor, death: ProcessExit, now: float) -> None:

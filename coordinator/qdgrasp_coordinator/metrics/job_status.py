@@ -410,19 +410,11 @@ def _are_counts(value: object) -> bool:
     return True
 
 
-def utc_now() -> datetime:
-    """Return the present time in UTC."""
-    return datetime.now(UTC)
-
-
 class EventLog:
     """Numbers events, keeps the latest, and shows each as it happens."""
 
-    def __init__(
-        self, show: Callable[[JobEvent], None] = lambda _event: None, clock: Callable[[], datetime] = utc_now
-    ) -> None:
+    def __init__(self, show: Callable[[JobEvent], None] = lambda _event: None) -> None:
         self._show = show
-        self._clock = clock
         self._latest: tuple[JobEvent, ...] = ()
         self._count = 0
 
@@ -432,7 +424,7 @@ class EventLog:
         """Add an event: a sentence, and the run, worker or object that it is about, if any."""
         self._count += 1
         subject = {"run": run, "worker": worker, "object": object_}
-        event = JobEvent(number=self._count, at=self._clock(), kind=kind, words=shorten(words), **subject)
+        event = JobEvent(number=self._count, at=datetime.now(UTC), kind=kind, words=shorten(words), **subject)
         self._latest = (*self._latest[1 - EVENTS_KEPT :], event)
         self._show(event)
 

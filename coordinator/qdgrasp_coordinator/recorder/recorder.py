@@ -284,7 +284,7 @@ class Recorder(ExitStack):
         path = self.folder.run_path(run)
         if run not in self.writers and (path / JOURNAL).is_file():
             self.writers[run] = writer = RunWriter(RunFolder(path), self._journals, self.epoch)
-            if not writer.has_scene:
+            if not writer.folder.has_bundle():
                 self._without_scene[run] = writer
         return self.writers.get(run)
 
@@ -376,5 +376,5 @@ class Recorder(ExitStack):
         """Store a scene's bundle where it is missing."""
         for run, writer in list(self._without_scene.items()):
             if writer.identity.scene == digest:
-                writer.add_scene(payload)
+                writer.folder.add_bundle(payload)
                 del self._without_scene[run]

@@ -44,7 +44,7 @@ class RunWriter:
     """
 
     def __init__(self, folder: RunFolder, journals: OpenJournals, epoch: int) -> None:
-        self._folder = folder
+        self.folder = folder
         self._journals = journals
         self.identity = self.journal.identity
         self.durable = self.journal.count  # Number of rows on disk
@@ -56,7 +56,7 @@ class RunWriter:
     @property
     def journal(self) -> JournalWriter:
         """The journal, open until the next one is asked for."""
-        return self._journals.at(self._folder.path)
+        return self._journals.at(self.folder.path)
 
     @property
     def expected(self) -> int:
@@ -76,8 +76,8 @@ class RunWriter:
             self.journal.set_spec(spec)
             self.identity = replace(self.identity, spec=spec)
             self._counter = None
-        if self._folder.spec != spec:
-            self._folder.rewrite_spec(spec)
+        if self.folder.spec != spec:
+            self.folder.rewrite_spec(spec)
         self.journal.begin_epoch(epoch, time.time())
 
     def check_end(self, spec: RunSpec) -> None:
@@ -88,7 +88,7 @@ class RunWriter:
             rows = chain(self.journal.blocks(), (part.rows for part in self._waiting))
             count_rows(spec, rows).check_budget()
         except ImpossibleValue as reason:
-            raise InputError(f"{self._folder.path} cannot end as is asked: {reason}") from None
+            raise InputError(f"{self.folder.path} cannot end as is asked: {reason}") from None
 
     def add(self, rows: JournalSlice, epoch: int, now: float) -> bool:
         """Queue those of consecutive rows that are new for their commit; False: none is taken.
@@ -137,12 +137,3 @@ class RunWriter:
         """Drop the rows that wait: another coordinator's epoch begins."""
         self._epoch = epoch
         self._waiting.clear()
-
-    @property
-    def has_scene(self) -> bool:
-        """True if the scene's bundle is in the folder."""
-        return self._folder.has_bundle()
-
-    def add_scene(self, payload: bytes) -> None:
-        """Store the scene's bundle."""
-        self._folder.add_bundle(payload)

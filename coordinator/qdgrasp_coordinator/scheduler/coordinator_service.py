@@ -18,7 +18,7 @@ from typing import TypeVar
 import structlog
 
 from qdgrasp_assets.scene import Bundle
-from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus
+from qdgrasp_coordinator.metrics.job_status import EventLog
 from qdgrasp_coordinator.scheduler.job_scheduler import (
     JobScheduler,
     JoinRequest,
@@ -212,10 +212,6 @@ class CoordinatorService:
         if cancelled and not runs.are_done:
             raise cancelled
         runs.check()
-
-    def status(self, now: float) -> JobStatus:
-        """Return the job's figures."""
-        return self.scheduler.status(now)
 
     def _step(self) -> None:
         now = time.monotonic()

@@ -272,10 +272,7 @@ class RecorderClient(Outbox, RowSink):
         if message.run != self._run or message.epoch != self._epoch:
             return
         self.trouble = message.trouble
-        try:
-            self.confirm(message.durable, now)
-        except RecorderFellBack as fallen:
-            raise fallen.of(self._run) from None
+        self.confirm(message.durable, now)
 
     def tick(self, now: float) -> None:
         """Send the rows that are due."""

@@ -58,12 +58,10 @@ WORKERS_INTERVAL = 1.0  # seconds between two of the workers', unless the state 
 
 
 class StatusPublisher:
-    """Publishes the status of a job on the bus; `clock` is that of the status cache [s]."""
+    """Publishes the status of a job on the bus."""
 
-    def __init__(
-        self, bus: Bus, scheduler: JobScheduler, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self.cache = StatusCache(clock)  # Latest values, for late queries
+    def __init__(self, bus: Bus, scheduler: JobScheduler) -> None:
+        self.cache = StatusCache()  # Latest values, for late queries
         self.due = 0.0  # When figures are to be published again
         self._bus = bus
         self._scheduler = scheduler

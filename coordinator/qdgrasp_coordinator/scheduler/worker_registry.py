@@ -109,18 +109,6 @@ class Worker:
         longest = BUILD_SECONDS if self.is_building else max(ANSWER_SECONDS, ANSWER_LIMITS * limit)
         return self.owes_since + longest
 
-    def hold(self, batch_id: bytes, scene: str | None, now: float) -> None:
-        """Add a batch of a scene to those it holds; None: a shape that it builds."""
-        if not self.batches:
-            self.progress = self.owes_since = now
-        self.batches[batch_id] = scene is None
-        if scene is None:
-            return
-        self.scenes[scene] = None
-        self.scenes.move_to_end(scene)
-        if len(self.scenes) > SCENES_KEPT:
-            self.scenes.popitem(last=False)
-
     def status(self, now: float) -> WorkerStatus:
         """Return its figures."""
         seconds = now - self.since
@@ -320,7 +308,14 @@ class WorkerRegistry:
 
     def hold(self, worker: Worker, batch_id: bytes, scene: str | None, now: float) -> None:
         """Record that a worker is leased a batch of a scene; None: a shape that it builds."""
-        worker.hold(batch_id, scene, now)
+        if not worker.batches:
+            worker.progress = worker.owes_since = now
+        worker.batches[batch_id] = scene is None
+        if scene is not None:
+            worker.scenes[scene] = None
+            worker.scenes.move_to_end(scene)
+            if len(worker.scenes) > SCENES_KEPT:
+                worker.scenes.popitem(last=False)
         self._update(worker)
 
     def release(self, wid: str, batch_id: bytes) -> None:

@@ -80,19 +80,15 @@ class JobRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     identity: JobId = ""
     """Unique id that tells the job from others of its name."""
 
-    @classmethod
-    def begun(cls, path: Path, name: str | None = None) -> "JobRecord":
-        """Return the job of a new folder at `path`; without a name it is called after the folder.
 
-        A name that is not of the allowed characters raises `ImpossibleValue`.
-        """
-        name = job_name(path.absolute().name) if name is None else Keys(name).job
-        return cls(name, identity=secrets.token_hex(16))
+def new_job(path: Path, name: str | None = None) -> dict[str, bytes]:
+    """Return `job.json` of a new folder at `path`.
 
-    @property
-    def file(self) -> dict[str, bytes]:
-        """The content of `job.json` by file name, for a new folder."""
-        return {JOB: msgspec.json.encode(self)}
+    Without a name the job is called after the folder. A name that is not of the allowed characters raises
+    `ImpossibleValue`.
+    """
+    name = job_name(path.absolute().name) if name is None else Keys(name).job
+    return {JOB: msgspec.json.encode(JobRecord(name, identity=secrets.token_hex(16)))}
 
 
 class JobFolder:
@@ -115,7 +111,7 @@ class JobFolder:
 
         Raises `FolderError` or `DiskFull` where the folder holds other files, or cannot be made.
         """
-        outputs.create_folder(path, JobRecord.begun(path, name).file | dict(files), folders=[LOGS, RUNS])
+        outputs.create_folder(path, new_job(path, name) | dict(files), folders=[LOGS, RUNS])
         return cls(path)
 
     @staticmethod

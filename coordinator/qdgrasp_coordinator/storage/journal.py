@@ -195,15 +195,6 @@ def slice_from_message(message: Recordable, shape: RowShape) -> JournalSlice:
     return JournalSlice(message.first, rows, message.cpu_seconds, tuple(message.failures))
 
 
-class JournalMeta(msgspec.Struct):
-    """The entries of the table `meta` that every journal has."""
-
-    run: str
-    scene: str
-    shape: str
-    created: float
-
-
 class Journal:
     """A journal to read; opened by `Journal.open`, closed by its with-block.
 
@@ -215,15 +206,15 @@ class Journal:
         self._file = file
         self._check_format()
         try:
-            meta = msgspec.convert(self._meta(), JournalMeta, strict=False)
-            self.shape = msgspec.json.decode(meta.shape, type=RowShape)
-        except msgspec.MsgspecError as error:
+            meta = self._meta()
+            self.run = meta["run"]
+            self.scene = meta["scene"]
+            """sha256 of the scene bundle."""
+            self.created = float(meta["created"])
+            """When it was begun [s since 1970]."""
+            self.shape = msgspec.json.decode(meta["shape"], type=RowShape)
+        except (KeyError, ValueError) as error:
             raise damaged_file(file, printable(f"what it says of itself cannot be read ({error})")) from None
-        self.run = meta.run
-        self.scene = meta.scene
-        """sha256 of the scene bundle."""
-        self.created = meta.created
-        """When it was begun [s since 1970]."""
 
     @classmethod
     def open(cls, folder: Path) -> "Journal":

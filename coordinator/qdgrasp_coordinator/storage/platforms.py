@@ -22,13 +22,6 @@ The platform of rows of another engine lacks them, and so does that of a machine
 ENGINE_NAMES = {name for names in ENGINE_ENTRIES.values() for name in names}
 
 
-class PlatformDiffers(Refused):
-    """A worker's platform is not the one that the job's rows come from."""
-
-    def __init__(self, job: Mapping[str, str], worker: Mapping[str, str]) -> None:
-        super().__init__(f"its platform differs: {platform_differences(job, worker)}")
-
-
 class LacksEngine(Refused):
     """A worker does not have the engine of a run that is carried out."""
 
@@ -55,10 +48,10 @@ def platform_differences(job: Mapping[str, str], other: Mapping[str, str]) -> st
 def admit_platform(job: Mapping[str, str], worker: Mapping[str, str]) -> dict[str, str]:
     """The platform of the job once this worker has joined: the first worker sets it.
 
-    Raises `PlatformDiffers` where another platform was there first; what differs is named.
+    Raises `Refused` where another platform was there first; what differs is named.
     """
-    if job and platform_differences(job, worker):
-        raise PlatformDiffers(job, worker)
+    if job and (differing := platform_differences(job, worker)):
+        raise Refused(f"its platform differs: {differing}")
     if not job:
         return dict(worker)
     return {name: worker[name] for name in sorted(ENGINE_NAMES & {*worker})} | dict(job)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 from qdgrasp_assets.scene import Bundle, Scene, unpack_scene
 from qdgrasp_coordinator.metrics.successes import Successes, TrialPlan, find_successes, join_successes
 from qdgrasp_coordinator.storage import outputs
-from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, JobRecord
+from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder, new_job
 from qdgrasp_coordinator.storage.journal import Journal, JournalIdentity
 from qdgrasp_coordinator.storage.outputs import JOB, JOURNAL, LOGS, RUNS, SCENE, SPEC, OutFolder
 from qdgrasp_protocol import messages
@@ -75,7 +75,7 @@ class RunFolder:
         another run or other files, or cannot be made.
         """
         cls.check_free(path)
-        files = JobRecord.begun(path, job).file | run_files(spec, bundle) | dict(more)
+        files = new_job(path, job) | run_files(spec, bundle) | dict(more)
         outputs.create_folder(path, files, folders=[LOGS])
         return cls(path)
 

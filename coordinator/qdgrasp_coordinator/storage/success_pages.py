@@ -99,10 +99,9 @@ def page_from_message(message: SuccessPage) -> SuccessTable:
 
 
 ROWS_SCANNED = 1 << 16  # Journal rows read for a page; more where trials of the first success lie farther off
-NO_CONTEXT = RowContext()
 
 
-def success_page(journal: Journal, first: int, context: RowContext = NO_CONTEXT) -> tuple[SuccessTable, int]:
+def success_page(journal: Journal, first: int, context: RowContext) -> tuple[SuccessTable, int]:
     """Some successes (n,) from journal number `first` on, and the number from which to read on.
 
     Where a success at the end of the journal may have more trials, the number to read on from is that of the

@@ -29,10 +29,9 @@ from qdgrasp_coordinator.scheduler.run_plan import (
 from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
-from qdgrasp_coordinator.storage.job_folder import JobFolder, JobRecord
+from qdgrasp_coordinator.storage.job_folder import JobFolder, new_job
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, SKIPPED, OutFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
-from qdgrasp_protocol.build_messages import join_payload
 from qdgrasp_protocol.errors import (
     DiskFull,
     FolderError,
@@ -41,7 +40,7 @@ from qdgrasp_protocol.errors import (
     MessageError,
     RunFailed,
 )
-from qdgrasp_protocol.messages import MAX_BUNDLE
+from qdgrasp_protocol.messages import MAX_BUNDLE, inflate
 from qdgrasp_protocol.spec import RunSpec, differences, run_spec, to_values
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_file import (
@@ -209,7 +208,7 @@ class CampaignRunQueue(RunQueue):
             return None
         name = self._runs[runs[0]].object
         try:
-            payload = join_payload(reply.pieces, MAX_SHAPE)
+            payload = inflate(b"".join(reply.pieces), MAX_SHAPE)
             shape = unpack_shape(payload)
         except MessageError as error:  # `next` builds it
             words = f"A worker's shape of '{Path(name).name}' is left aside: {error}."
@@ -283,7 +282,7 @@ def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobEx
     if not JobFolder.is_job(path):
         OutFolder(path).check()
         RunFolder.check_outside(path)
-        files = JobRecord.begun(path, job).file | {CAMPAIGN: asked.toml.encode()}
+        files = new_job(path, job) | {CAMPAIGN: asked.toml.encode()}
         if asked.skipped:
             files |= {SKIPPED: skip_report(asked.skipped)}
         outputs.create_folder(path, files, folders=[LOGS, RUNS])

@@ -63,7 +63,7 @@ class JobPlace:
         folder = JobFolder.open(directory)
         if folder.endpoint is None:
             raise folder.no_coordinator()
-        places = (place.from_here for place in parse_endpoints(folder.endpoint))
+        places = (place.reached_from(here=True) for place in parse_endpoints(folder.endpoint))
         return cls(",".join(places), folder)
 
     def chosen(self, views: Sequence[JobView]) -> list[JobView]:

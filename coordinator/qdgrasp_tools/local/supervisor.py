@@ -137,13 +137,13 @@ class JobProcesses:
     def start_recorder(self, out: Path) -> None:
         """Start a recorder that writes to the folder of a job."""
         arguments = ["recorder", *self._connection_flags, "--out", str(out)]
-        self._processes.start("recorder", "qdgrasp_tools.cli.job_processes", arguments)
+        self._processes.start("recorder", "qdgrasp_tools.cli.job_processes", lambda: arguments)
 
     def start_workers(self, count: int) -> None:
         """Start so many workers, which leave before they would be killed."""
         flags = [*self._connection_flags, "--grace", f"{self._processes.children_grace:g}"]
         for number in range(count):
-            self._processes.start(f"worker-{number}", "qdgrasp_worker.cli", flags)
+            self._processes.start(f"worker-{number}", "qdgrasp_worker.cli", lambda: flags)
 
     @property
     def _connection_flags(self) -> list[str]:
@@ -263,13 +263,13 @@ class Supervisor:
     def _start_members(self, job: JobProcesses, endpoint: str) -> None:
         """Start the recorder and the workers, and tell how the job is watched and joined by more."""
         flags = " ".join(map(shlex.quote, self._config.security_flags))
-        reached = ",".join(place.from_elsewhere for place in parse_endpoints(endpoint))
+        reached = ",".join(place.reached_from(here=False) for place in parse_endpoints(endpoint))
         watch = f"qdgrasp-monitor {shlex.quote(str(self._folder.path))} {flags}".rstrip()
         join = f"qdgrasp-worker --connect {reached} --job {job.job} {flags}".rstrip()
         self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
         self._display.say(f"watch it by `{watch}`, add workers by `{join}`")
         self._listen = endpoint
-        job.endpoint = parse_endpoints(endpoint)[0].from_here
+        job.endpoint = parse_endpoints(endpoint)[0].reached_from(here=True)
         job.start_recorder(self._folder.path)
         job.start_workers(self._config.workers)
 
@@ -307,7 +307,7 @@ class LocalSession(JobProcesses):
         )
 
         def step(now: float) -> None:
-            figures = service.status(now)
+            figures = service.scheduler.status(now)
             self.note_progress(figures)
             self.check(now)
             self._display.show(figures)

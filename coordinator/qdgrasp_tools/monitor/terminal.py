@@ -22,7 +22,6 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from qdgrasp_coordinator.metrics.job_status import utc_now
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.text import printable
 from qdgrasp_tools.monitor import screen
@@ -297,4 +296,4 @@ def status_lines(shown: ScreenState) -> list[str]:
 
 def screen_state(feed: Feed, endpoint: str) -> ScreenState:
     """Return the state of a feed as the screen shows it now."""
-    return ScreenState(feed.views(), endpoint, utc_now().astimezone(), feed.is_linked)
+    return ScreenState(feed.views(), endpoint, datetime.now().astimezone(), feed.is_linked)

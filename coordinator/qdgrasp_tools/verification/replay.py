@@ -125,7 +125,7 @@ def replay_evaluation(shown: ReplayTarget, stop: Stop) -> ReplayAnswer | None:
 
 def _run_process(folder: Path, stop: Stop) -> None:
     with ProcessSupervisor(folder, GRACE) as processes:
-        processes.start("replay", REPLAY_MODULE, [str(folder)])
+        processes.start("replay", REPLAY_MODULE, lambda: [str(folder)])
         while not (stop.is_set or (ended := processes.exits())):
             with suppress(subprocess.TimeoutExpired):
                 processes.process("replay").wait(POLL_INTERVAL)

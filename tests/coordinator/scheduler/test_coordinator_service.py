@@ -47,7 +47,7 @@ def test_a_full_disk_is_waited_for_and_no_run_fails_for_it() -> None:
     job.programme.has_room.clear()
 
     def make_room(now: float) -> None:
-        if job.service.status(now).trouble == "There is no room.":
+        if job.service.scheduler.status(now).trouble == "There is no room.":
             job.programme.has_room.set()
 
     with FakeWorker(job.network.session(), FAY).at_work():
@@ -84,7 +84,7 @@ def test_a_pause_changes_nothing_that_is_found() -> None:
             threading.Thread(target=lambda: (send_command(bus, "pause"), paused.set())).start()
         if paused.is_set():
             paused.clear()
-            assert job.service.status(now).state == "paused"
+            assert job.service.scheduler.status(now).state == "paused"
             threading.Thread(target=send_command, args=(bus, "continue")).start()
 
     with FakeWorker(job.network.session(), ANN).at_work(), FakeWorker(job.network.session(), BOB).at_work():

@@ -10,11 +10,11 @@ from qdgrasp_coordinator.scheduler.worker_registry import (
     WorkerRegistry,
 )
 from qdgrasp_coordinator.storage.platforms import (
-    PlatformDiffers,
     admit_platform,
     platform_differences,
     platform_of,
 )
+from qdgrasp_protocol.errors import Refused
 
 SCENE = "0" * 64
 WORKERS = [f"{number:032x}" for number in range(6)]
@@ -130,7 +130,7 @@ def test_the_version_of_the_package_is_kept_and_not_compared() -> None:
 @pytest.mark.parametrize("other", [{"numpy": "2.5.0"}, {"code": "cd" * 32}, {"machine": "aarch64"}])
 def test_all_else_is_compared_and_then_the_version_is_told_too(other: dict[str, str]) -> None:
     (name,) = other
-    with pytest.raises(PlatformDiffers, match=f"{name} .* instead of .*, qdgrasp 0.2.0 instead of 0.1.0"):
+    with pytest.raises(Refused, match=f"{name} .* instead of .*, qdgrasp 0.2.0 instead of 0.1.0"):
         admit_platform(JOB_PLATFORM, JOB_PLATFORM | other | {"qdgrasp": "0.2.0"})
 
 
@@ -151,5 +151,5 @@ def test_rows_of_a_device_name_it_and_are_not_mixed_with_those_of_another() -> N
     assert platform_of("mujoco-warp", JOB_PLATFORM | here) == JOB_PLATFORM | here
     assert platform_of("mujoco", JOB_PLATFORM | here) == JOB_PLATFORM | IN_MUJOCO
     assert admit_platform(JOB_PLATFORM | here, JOB_PLATFORM | IN_MUJOCO) == JOB_PLATFORM | here
-    with pytest.raises(PlatformDiffers, match="warp_device NVIDIA A100 80 instead of NVIDIA H100 90"):
+    with pytest.raises(Refused, match="warp_device NVIDIA A100 80 instead of NVIDIA H100 90"):
         admit_platform(JOB_PLATFORM | here, JOB_PLATFORM | here | {"warp_device": "NVIDIA A100 80"})

@@ -21,7 +21,7 @@ from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.search.success_model import STARTS, pooled_weights
 from qdgrasp_coordinator.search.value_search import ValueSearch
 from qdgrasp_coordinator.storage.outputs import ORIGIN
-from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
 from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
@@ -119,7 +119,7 @@ def test_the_command_begins_a_run_with_weights_and_notes_their_origin(folder, tm
     source, begun = folder("source"), []
     monkeypatch.setattr(
         "qdgrasp_tools.cli.run_commands.run_plan.prepare_scene",
-        lambda *_, **__: SimpleNamespace(bundle=pack_scene(made_scene("jaw"))),
+        lambda *_, **__: PreparedScene(made_scene("jaw"), pack_scene(made_scene("jaw"))),
     )
     monkeypatch.setattr("qdgrasp_tools.cli.run_commands.run_job", lambda folder, *_: begun.append(folder))
     monkeypatch.setattr("qdgrasp_tools.cli.run_commands.print_result", lambda *_, **__: None)

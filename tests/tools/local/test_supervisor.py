@@ -150,7 +150,7 @@ class ListeningJob(ProcessSupervisor):
 
     def start(self, name: str, _module: str, arguments: Any) -> None:
         if name != "coordinator":
-            self.others.append(arguments)
+            self.others.append(arguments())
             return
         self._arguments = arguments
         self.coordinators.append(arguments())

@@ -209,20 +209,6 @@ class SimulatorSupervisor:
         """Time at which the next simulator is to be started; infinite: there is one."""
         self._simulator = start()
 
-    @classmethod
-    def open(
-        cls,
-        report: Callable[[SimulatorEvent], None],
-        row_seconds: float,
-        memory: int,
-        nice: int,
-        command: Sequence[str] = SIMULATOR_COMMAND,
-    ) -> Self:
-        """A supervisor of simulators in processes, the first of which starts now."""
-        limits = map(str, (row_seconds, round(MEMORY_HEADROOM * memory), nice))
-        limited = [*command, *limits]
-        return cls(lambda: SimulatorClient(limited, report), row_seconds=row_seconds, memory=memory)
-
     def __enter__(self) -> Self:
         return self
 
@@ -238,11 +224,6 @@ class SimulatorSupervisor:
     def head(self) -> BatchProgress | None:
         """The batch that the simulator works on; None: nothing."""
         return self._sent[0] if self._sent else None
-
-    @property
-    def tasks(self) -> list[BatchProgress]:
-        """All batches, first those that are to be sent again."""
-        return [*self._requeued, *self._sent]
 
     @property
     def next_requeued(self) -> BatchProgress | None:
