@@ -310,7 +310,7 @@ def examine_urdf(
                 drawn, _ = _drafted(shown, urdf, name, overrides)
             return msgspec.structs.replace(report, faults=faults), drawn
         gripper, draft = _drafted(shown, urdf, name, overrides)
-        found = examine_draft(robot, draft, name)
+        found = examine_hand(robot, draft.file, name, draft.warnings)
     except QdgraspError as error:
         return msgspec.structs.replace(report, faults=(str(error).rstrip("."),)), None
     return msgspec.structs.replace(found, notes=(*notes, *found.notes)), gripper
@@ -319,11 +319,6 @@ def examine_urdf(
 def _drafted(robot: Urdf, urdf: Path, name: str, overrides: DraftOverrides) -> tuple[Gripper, GripperDraft]:
     draft = draft_gripper(robot, str(urdf), overrides)
     return Gripper(name, urdf.name, draft.file, robot), draft
-
-
-def examine_draft(robot: Urdf, drafted: GripperDraft, name: str) -> GripperReport:
-    """Examine a hand with a file that was drafted for it."""
-    return msgspec.structs.replace(examine_hand(robot, drafted.file, name), warnings=drafted.warnings)
 
 
 def read_hand(path: Path) -> tuple[Urdf | None, tuple[str, ...], tuple[str, ...]]:
@@ -350,12 +345,12 @@ def read_robot(urdf: Path) -> tuple[Urdf | None, tuple[str, ...]]:
     return None, (*faults, *motion_faults(element), *weight_faults(element))
 
 
-def examine_hand(robot: Urdf, file: GripperFile, name: str) -> GripperReport:
-    """Examine a hand whose file and URDF are read already."""
+def examine_hand(robot: Urdf, file: GripperFile, name: str, warnings: tuple[str, ...] = ()) -> GripperReport:
+    """Examine a hand whose file and URDF are read already, with warnings of its draft."""
     base, impossible = file.base_link, [*gripper_faults(file, robot)]
     impossible += hand_faults(robot.subtree(base)) if base in robot.links else ()
     if impossible:
-        return GripperReport(name=name, faults=tuple(dict.fromkeys(impossible)))
+        return GripperReport(name=name, faults=tuple(dict.fromkeys(impossible)), warnings=warnings)
     body = read_hand_model(robot, file.base_link)
     hand = HandPostures(file, body)
     corners = body.corners(body.parts, hand.posture(0.0))
@@ -379,6 +374,7 @@ def examine_hand(robot: Urdf, file: GripperFile, name: str) -> GripperReport:
         parts=sum(map(len, body.parts.values())),
         notes=notes,
         faults=faults,
+        warnings=warnings,
     )
 
 

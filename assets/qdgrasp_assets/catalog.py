@@ -153,10 +153,9 @@ def find_object(spec: RunSpec) -> ObjectModel:
 
 def check_object(name: str) -> None:
     """Check that a name is a stand-in, a scan or file that is there; errors of `build_scene`."""
-    path = named_path(name)
     if name in ycb.SCAN_NAMES:
         ycb.check_there(name)
-    elif name not in STAND_INS and path_problem(path) == A_FOLDER:
+    elif name not in STAND_INS and path_problem(path := named_path(name)) == A_FOLDER:
         check_file(path)
     elif name not in STAND_INS and not _is_file(path):
         hint = f"Or name a mesh file, with its mass. Scans lie on the asset path ({searched()})."

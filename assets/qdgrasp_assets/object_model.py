@@ -26,7 +26,7 @@ from qdgrasp_assets.geometry.mesh_io import (
 )
 from qdgrasp_assets.geometry.mesh_repair import (
     MOST_TRIANGLES,
-    gap_note,
+    body_gap,
     prepare_mesh,
     repair_mesh,
     surface_faults,
@@ -52,10 +52,12 @@ class ObjectDraft:
 
     def object_faults(self, *, glued: bool) -> tuple[str, ...]:
         """Return its faults as one rigid object; `glued`: bodies that are apart are meant as one."""
-        if self.faults or glued:
+        if self.faults or glued or not (gap := body_gap(self.mesh)):
             return self.faults
-        gap = gap_note(self.mesh)
-        return (gap,) if gap else ()
+        return (
+            f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing; "
+            "give each a file of its own, or say with --mesh glued that they are moved as one",
+        )
 
 
 AS_IT_IS = MeshPreparation()

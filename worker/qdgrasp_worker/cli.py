@@ -183,7 +183,9 @@ class WorkerPool:
         woken: SimpleQueue[None] = SimpleQueue()
         stop.tell(lambda: woken.put(None))
         with ProcessSupervisor(None, self._grace, STEADY_SECONDS) as processes:
-            self._start(processes)
+            for name in [f"worker-{number}" for number in range(self._size)]:
+                processes.start(name, "qdgrasp_worker.cli", lambda: self._arguments)
+                self._running.add(name)
             while self._running and not stop.is_set:
                 for death in processes.exits():
                     self.on_death(processes, death, monotonic())
@@ -197,11 +199,6 @@ class WorkerPool:
                     processes.request_stop(passed_on)
                 with suppress(Empty):
                     woken.get(timeout=LOOK_INTERVAL)
-
-    def _start(self, processes: ProcessSupervisor) -> None:
-        for name in [f"worker-{number}" for number in range(self._size)]:
-            processes.start(name, "qdgrasp_worker.cli", lambda: self._arguments)
-            self._running.add(name)
 
     def on_death(self, processes: ProcessSupervisor, death: ProcessExit, now: float) -> None:
         """Plan the next start of a worker that died, or give it up."""

@@ -59,7 +59,7 @@ class EpisodeRecorder:
         looks: dict[str, Callable[..., None]] = {
             "reset": self._placed,
             "set_fingers": self._fingers_set,
-            "close_fingers": self._closing,
+            "close_fingers": lambda _synergy: self._begin("closing"),
             "step": self._stepped,
             "shake_to": self._shaken,
             "release": lambda: self._begin("settling"),
@@ -80,9 +80,6 @@ class EpisodeRecorder:
         """Record the fingers; the contacts are still those of the look before."""
         placed = self.snapshots.pop()
         self.snapshots.append(structs.replace(self._now(), touches=placed.touches))
-
-    def _closing(self, synergy: int) -> None:
-        self._begin("closing")
 
     def _shaken(self, target: float, shake: Shake) -> None:
         if self._phase != PHASE_BY_SHAKE[shake.joint]:

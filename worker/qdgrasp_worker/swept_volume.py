@@ -24,7 +24,6 @@ from qdgrasp_assets.geometry.voxels import (
     transform_points,
 )
 from qdgrasp_assets.grippers.hand_geometry import Closing, HandGeometry, hand_geometry
-from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.object_geometry import SurfaceSample
@@ -224,22 +223,16 @@ def measure_swept_volume(hand: HandGeometry, course: bytes) -> SweptVolume:
 
 
 def finger_numbers(hand: HandGeometry) -> dict[str, int]:
-    """The finger that each finger link belongs to, counted from 0."""
-    links = hand.gripper.finger_links
-    branches = finger_branches(hand.robot, hand.gripper.base_link, set(links))
-    names = list(dict.fromkeys(branches.get(link, "") for link in links))
-    return {link: names.index(branches.get(link, "")) for link in links}
+    """The finger that each finger link belongs to, counted from 0.
 
-
-def finger_branches(robot: Urdf, base: str, fingers: set[str]) -> dict[str, str]:
-    """The first of the links `fingers` on the way from `base` to each link, itself included."""
-    branches: dict[str, str] = {}
-    for joint in robot.joints_beyond(base):
-        if joint.parent in branches:
-            branches[joint.child] = branches[joint.parent]
-        elif joint.child in fingers:
-            branches[joint.child] = joint.child
-    return branches
+    Links of one finger have the same first finger link on their way from the base link.
+    """
+    links, firsts = hand.gripper.finger_links, {}
+    for link in links:
+        way = [joint.child for joint in hand.robot.inward(link)]
+        firsts[link] = next((each for each in reversed(way) if each in links), "")
+    names = list(dict.fromkeys(firsts.values()))
+    return {link: names.index(first) for link, first in firsts.items()}
 
 
 def motion_directions(course: Floats, hull: Hull, axis: Floats) -> NDArray[np.int32]:

@@ -278,17 +278,6 @@ GAP_POINTS = 100_000  # Points of the surface that stand for the bodies, besides
 ASIDE = 1e-5  # Distance from its surface at which a body is looked for in others [m]
 
 
-def gap_note(mesh: Mesh) -> str:
-    """Return the fault sentence for bodies that are apart; empty if they all meet."""
-    gap = body_gap(mesh)
-    if not gap:
-        return ""
-    return (
-        f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing; "
-        "give each a file of its own, or say with --mesh glued that they are moved as one"
-    )
-
-
 def body_gap(mesh: Mesh) -> float:
     """Return the distance [m] from the first body, and all connected to it, to the others.
 

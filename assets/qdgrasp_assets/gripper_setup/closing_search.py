@@ -345,16 +345,14 @@ class ClosingSearch:
         links = self.fingers[number].links
         for share in CLEAR_SHARES:
             placed = self.body.parts_at(motion.posture(share))
-            others = [each for each in placed if each not in links and (not share or self._is_palm(each))]
+            palm = (each for each in placed if self.body.rigid_piece[each] == self.body.robot.root)
+            others = [each for each in (palm if share else placed) if each not in links]
             pairs = [pair for pair in product(links, others) if not self.body.are_neighbours(*pair)]
             if any(are_deep(placed[link], placed[other], DEEP_OVERLAP) for link, other in pairs):
                 return False
         followed = {name for name, each in self.body.followers.items() if each.leader in resting}
         beyond = {name for joint in followed for name in self._fingers_beyond(joint)} - {number}
         return all(self._is_beside_others(each, motion) for each in beyond)
-
-    def _is_palm(self, link: str) -> bool:
-        return self.body.rigid_piece[link] == self.body.robot.root
 
     def _fingers_beyond(self, joint: str) -> Iterable[int]:
         """Yield the fingers that a joint moves, by number."""

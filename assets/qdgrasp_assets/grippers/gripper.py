@@ -175,6 +175,9 @@ class Gripper:
         file, is_rated = self.file, protocol in RATED
         urdf, carrier = CARRIERS[protocol](self.robot, file.base_link, file.carrier_hold_force)
         element, meshes = urdf.bundled()
+        hand = parse_robot(self.robot.path, element).subtree(file.base_link)
+        with unreadable_as("The URDF '{}' has a collision shape that cannot be read: {}.", self.robot.path):
+            extent = round(largest_side(hand, meshes), 6)
         return SceneGripper(
             name=self.name,
             source=self.source,
@@ -193,16 +196,10 @@ class Gripper:
             palm_offset=file.palm_offset,
             standoff=file.standoff,
             jaw=file.jaw and Jaw(axis=unit_vector(file.jaw.axis), opening=file.jaw.opening),
-            extent=self._extent(element, meshes),
-            links=self.robot.subtree(file.base_link).links,
+            extent=extent,
+            links=hand.links,
             disabled_collisions=file.disabled_collisions if is_rated else (),
         )
-
-    def _extent(self, element: ET.Element, meshes: dict[str, bytes]) -> float:
-        """Return the largest side of the hand [m], to the micrometre."""
-        hand = parse_robot(self.robot.path, element).subtree(self.file.base_link)
-        with unreadable_as("The URDF '{}' has a collision shape that cannot be read: {}.", self.robot.path):
-            return round(largest_side(hand, meshes), 6)
 
     def _joint(self, name: str, table: JointTable, is_rated: bool) -> Joint:
         joint = self.robot.joint(name)

@@ -184,7 +184,11 @@ class _Translation:
             return self._add_inertia(name, 0.0, np.zeros(3), np.eye(4))
         origin = _shift(-self._anchors[parent]) @ _frame(model.body_pos[body], model.body_quat[body])
         first = model.body_jntadr[body]
-        joints = [j for j in range(first, first + model.body_jntnum[body]) if self._is_kept(j)]
+        joints = [
+            joint
+            for joint in range(first, first + model.body_jntnum[body])
+            if self._joint_kind(joint) != self._mujoco.mjtJoint.mjJNT_FREE
+        ]
         anchor = np.zeros(3)
         for number, joint in enumerate(joints):
             is_last = number == len(joints) - 1
@@ -202,9 +206,6 @@ class _Translation:
         self._anchors[body] = anchor
         inertial = _shift(-anchor) @ _frame(model.body_ipos[body], model.body_iquat[body])
         return self._add_inertia(name, model.body_mass[body], model.body_inertia[body], inertial)
-
-    def _is_kept(self, joint: int) -> bool:
-        return bool(self._joint_kind(joint) != self._mujoco.mjtJoint.mjJNT_FREE)
 
     def _joint_kind(self, number: int) -> Any:
         return self._mujoco.mjtJoint(self._model.jnt_type[number])

@@ -154,15 +154,10 @@ PACKAGE = "package://"
 SIMULATOR_FORMATS = (".stl", ".obj", ".dae")  # Mesh files that the simulator reads
 
 
-def mesh_faults(hand: Urdf) -> tuple[str, ...]:
-    """Return the faults that keep a hand's shapes from being simulated."""
-    faults = (_shape_fault(hand, link, shape) for link, shape in collision_elements(hand))
-    return tuple(dict.fromkeys(fault for fault in faults if fault))
-
-
 def hand_faults(hand: Urdf) -> tuple[str, ...]:
     """Return the faults of joints, masses and shapes of a hand without an arm."""
-    return (*motion_faults(hand.element), *weight_faults(hand.element), *mesh_faults(hand))
+    shapes = dict.fromkeys(_shape_fault(hand, link, shape) for link, shape in collision_elements(hand))
+    return (*motion_faults(hand.element), *weight_faults(hand.element), *filter(None, shapes))
 
 
 def _suffix(name: str) -> str:

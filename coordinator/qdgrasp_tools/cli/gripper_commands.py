@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from qdgrasp_assets.asset_report import examine_draft, examine_gripper, examine_urdf, read_hand
+from qdgrasp_assets.asset_report import examine_gripper, examine_hand, examine_urdf, read_hand
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
 from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf
@@ -131,7 +131,7 @@ def new(
     with ExitStack() as until_written:
         robot, given = _usable_robot(_single_tree(urdf), given, file, until_written, repair=repair)
         made = draft_gripper(robot, _reference(robot.path, target), given)
-        found = examine_draft(robot, made, str(target))
+        found = examine_hand(robot, made.file, str(target), made.warnings)
         asset_commands.print_findings(found)
         asset_commands.refuse_faulty("gripper", found, "was not written")
         file.write(draft_toml(made, target.name).encode())

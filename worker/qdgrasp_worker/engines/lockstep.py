@@ -207,7 +207,8 @@ class LockstepEpisodes:
         touched = np.zeros(len(names), dtype=bool)
 
         def look(rows: Rows, moved: StepResult) -> None:
-            touched[rows] |= self._fingers(moved.contacts, len(rows)) > 0
+            is_finger = np.isin(moved.contacts.links, [*self._world.finger_links])
+            touched[rows[moved.contacts.worlds[is_finger]]] = True
 
         most = np.array([self._world.closing_steps(setup.pose.synergy) for setup in self._setups])
         self._step_to_rest(np.arange(len(names)), most, look)
@@ -289,11 +290,6 @@ class LockstepEpisodes:
             return self._places, self._turns
         poses = np.asarray(self._states["qpos"][:, -7:], dtype=np.float64)
         return poses[:, :3].copy(), poses[:, [4, 5, 6, 3]]
-
-    def _fingers(self, contacts: WorldContacts, n: int) -> NDArray[np.intp]:
-        """The number (n,) of contacts with finger links in each world."""
-        is_finger = np.isin(contacts.links, [*self._world.finger_links])
-        return np.bincount(contacts.worlds[is_finger], minlength=n)
 
     def _step_to_rest(
         self,
