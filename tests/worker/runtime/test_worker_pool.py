@@ -63,7 +63,7 @@ def test_a_second_signal_is_passed_on_to_the_workers(tmp_path, monkeypatch):
             super().__init__(tmp_path / "logs", grace)
 
         def start(self, name, module, arguments):
-            super().start(name, "obstinate", [])
+            super().start(name, "obstinate", list)
 
         def pids(self):
             said = [log.read_text() for log in (tmp_path / "logs").glob("*.log")]
