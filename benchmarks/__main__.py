@@ -20,6 +20,7 @@ from rich.table import Table
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
+from qdgrasp_coordinator.metrics.success_metrics import cell_growth
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import DEFAULT_METHOD, RunSpec
@@ -97,7 +98,7 @@ def searches(rows: int) -> Iterator[Line]:
             seconds = found.evaluation_seconds + found.search_seconds
             whole.append(1000 * seconds / found.evaluations[-1])
             shares.append(found.search_seconds / seconds)
-            cells.append(int(found.history.cells(Outcome.HELD).end) / seconds)
+            cells.append(cell_growth(found.successes, Outcome.HELD).end / seconds)
         remark = f"{median(shares):.1%} in the search; {median(cells):.1f} cells that hold a CPU second"
         yield Line(f"an evaluation of a run, panda on mug, {name}", whole, remark)
 

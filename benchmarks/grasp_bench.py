@@ -1,66 +1,58 @@
-"""The frozen benchmark: `python -m benchmarks.grasp_bench run`, and `... table` for its table and figure.
+"""The benchmark at equal CPU: `python -m benchmarks.grasp_bench run`, and `... table` for table and figure.
 
-Scenes, methods, seeds and budgets are those of `benchmarks/grasp_bench_1`. Constants of searches are chosen
-on the scenes of `tuning.toml` alone. `run` carries out the runs that docs/results/runs.csv lacks; `table`
-makes the figure and the part between the two marks of docs/results.md.
+All methods of a scene race in one process, the one that has spent the least CPU time goes next: a busy
+machine slows all alike. `run` carries out the races of `grasp_bench_1/scenes.toml` that docs/results/runs.csv
+lacks; `table` makes the figure and the part between the two marks of docs/results.md.
 """
 
 import argparse
 import csv
-import hashlib
-import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+import tempfile
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from time import process_time
 
 import matplotlib.pyplot as plt
 import numpy as np
-import tomli_w
-from benchmarks.grasp_bench_assets import FILES, NAME, asset_name, located, make_asset
+from benchmarks.grasp_bench_assets import OBJECTS, make_asset
 from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
-from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
-from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_assets.catalog import build_scene
+from qdgrasp_coordinator.metrics.cells import cell_keys, cells
+from qdgrasp_coordinator.metrics.contact_niches import contact_niches
+from qdgrasp_coordinator.scheduler.run_plan import full_spec
+from qdgrasp_coordinator.search.base import search_space
+from qdgrasp_coordinator.search.registry import method, prior_of
+from qdgrasp_protocol.errors import JawNeeded
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.spec import RunSpec, to_values
-from qdgrasp_tools.campaign.campaign_file import read_campaign
+from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_worker.evaluator import ROWS_AT_ONCE, Evaluator
 
 ROOT = Path(__file__).resolve().parents[1]
-CAMPAIGNS = [Path(__file__).parent / "grasp_bench_1" / f"{name}.toml" for name in ("held_out", "tuning")]
+PLAN = tomllib.loads((Path(__file__).parent / "grasp_bench_1" / "scenes.toml").read_text())
 TABLE, FIGURE, PAGE = (
-    ROOT / "docs" / name for name in ("results/runs.csv", "results/cells-that-hold.png", "results.md")
+    ROOT / "docs" / name for name in ("results/runs.csv", "results/at-equal-cpu.png", "results.md")
 )
 MARKS = "<!-- made by python -m benchmarks.grasp_bench table -->", "<!-- end -->"
-DEFAULT = "aimed"
-TUNING = {("panda", thing) for thing in ("ycb_rubiks_cube", "ycb_mug", "ycb_power_drill")}
-JAWS = ("panda", "robotiq_2f", "xarm", "pr2")
-EVALUATIONS = {"500": 500, "1k": 1000, "2k": 2000, "5k": 5000}
-"""Counted evaluations after which cells are counted, by the end of their column's name."""
-SECONDS = {f"{n}s": n for n in (5, 7, 10, 14, 20, 28, 40, 56, 80)}
-"""CPU seconds of the workers, likewise."""
-SHOWN = ("5s", "14s", "28s", "500", "1k", "end")
-"""The work after which the table compares."""
-KEY = ("gripper", "object", "method", "population", "seed", "budget")
-COLUMNS = (
-    *KEY, "version", "code", "journal", "evaluations", "cells", "niches_that_hold", "cpu_seconds",
-    "cells_that_hold", *(f"after_{name}" for name in (*EVALUATIONS, *SECONDS)),
-)  # fmt: skip
+DEFAULT = "portfolio"
+GROUPS = {
+    "tuning": "tuning, two fingers",
+    "jaws": "held out, two fingers",
+    "fingers": "held out, more fingers",
+}
+SECONDS = (4, 8, 15, 30, 60)
+"""CPU seconds after which a method's finds are counted."""
+SHOWN = (15, 60)
+COUNTS = {"cells": "cells that hold", "contacts": "contact niches that hold"}
+KEY = ("gripper", "object", "method", "seed")
+COLUMNS = (*KEY, "evaluations", *(f"{count}_{n}s" for count in COUNTS for n in SECONDS))
 
 Row = dict[str, str]
 """A line of the table of runs."""
-
-
-def key(spec: RunSpec) -> tuple[str, ...]:
-    """Return the values of `KEY` of a run; the population is that of MAP-Elites, empty for other methods."""
-    population = spec.population if spec.method.endswith("me_scs") else ""
-    names = (asset_name(name) or name for name in (spec.gripper, spec.object))
-    return (*names, spec.method, str(population or ""), str(spec.seed), str(spec.evaluations))
 
 
 def read_table(file: Path = TABLE) -> dict[tuple[str, ...], Row]:
@@ -69,165 +61,127 @@ def read_table(file: Path = TABLE) -> dict[tuple[str, ...], Row]:
         return {tuple(row[name] for name in KEY): row for row in csv.DictReader(lines)}
 
 
-def write_table(table: Mapping[tuple[str, ...], Row], file: Path = TABLE) -> None:
+def write_table(rows: Mapping[tuple[str, ...], Row], file: Path = TABLE) -> None:
     """Write the table of runs, sorted by key."""
-
-    def place(item: tuple[tuple[str, ...], Row]) -> tuple[object, ...]:
-        *names, population, seed, budget = item[0]
-        return (*names, int(population or 0), int(budget), int(seed))
-
     with file.open("w", encoding="utf-8", newline="") as out:
         writer = csv.DictWriter(out, COLUMNS, lineterminator="\n")
         writer.writeheader()
-        writer.writerows(row for _, row in sorted(table.items(), key=place))
+        writer.writerows(row for _, row in sorted(rows.items()))
 
 
-def measured(folder: RunFolder) -> Row:
-    """Return the line of a finished run, from its journal."""
-    spec = folder.spec
-    with folder.journal() as journal:
-        parts = list(journal.slices())
-        origin = {"version": journal.package, "code": f"evaluation {journal.platform['evaluation']}"}
-    rows = np.concatenate([part.rows for part in parts])
-    origin["journal"] = hashlib.sha256(rows.tobytes()).hexdigest()[:16]
-    spent = np.cumsum(evaluation_mask(rows, spec.overlaps))
-    seconds = np.cumsum(np.concatenate([np.full(len(part), part.cpu_seconds / len(part)) for part in parts]))
-    places = cells(rows["base_to_object"][:, :3])
+class Racer:
+    """A method in a race: its search, and what it found by the CPU time that it spent."""
 
-    def found(least: Outcome, stop: int) -> int:
-        return len(np.unique(places[:stop][rows["outcome"][:stop] >= least], axis=0))
+    def __init__(self, spec: RunSpec, evaluator: Evaluator) -> None:
+        self.spec, self._evaluator = spec, evaluator
+        self._prior = prior_of(spec)
+        began = process_time()
+        self._search = method(spec.method).build(spec, search_space(evaluator.scene, self._prior))
+        self.seconds = process_time() - began
+        self._generation = 0
+        self._held = [np.zeros((0, 3), np.uint64)]  # Cell, contact niche and hundredth of a second of each
+        self.evaluations = 0
 
-    stops = {name: int(np.searchsorted(spent, n)) + 1 for name, n in EVALUATIONS.items() if n <= spent[-1]}
-    stops |= {name: int(np.searchsorted(seconds, n)) + 1 for name, n in SECONDS.items() if n <= seconds[-1]}
-    return {
-        **dict(zip(KEY, key(spec), strict=True)),
-        **origin,
-        "evaluations": str(spent[-1]),
-        "cells": str(found(Outcome.DROPPED, len(rows))),
-        "niches_that_hold": "",
-        "cpu_seconds": f"{seconds[-1]:.5g}",
-        "cells_that_hold": str(found(Outcome.HELD, len(rows))),
-        **{f"after_{name}": str(found(Outcome.HELD, stop)) for name, stop in stops.items()},
-    }
+    def step(self) -> None:
+        """Evaluate the next generation."""
+        began = process_time()
+        genomes, parts = self._search.ask(self._generation), []
+        for start in range(0, len(genomes), ROWS_AT_ONCE):
+            some = genomes[start : start + ROWS_AT_ONCE]
+            rows = self._evaluator.evaluate(self._prior, some, np.zeros(len(some), np.uint16)).rows
+            rows["generation"], rows["index"] = self._generation, start + np.arange(len(some))
+            self._count(rows, self.seconds + process_time() - began)
+            parts.append(rows)
+        self._search.tell(self._generation, np.concatenate(parts))
+        self._generation += 1
+        self.seconds += process_time() - began
 
+    def _count(self, rows: NDArray[np.void], seconds: float) -> None:
+        self.evaluations += int(np.count_nonzero(rows["outcome"] >= Outcome.MISSED))
+        held = rows[rows["outcome"] == Outcome.HELD]
+        keys = cell_keys(cells(held["base_to_object"][:, :3])).astype(np.uint64)
+        when = np.full(len(held), round(100 * seconds), np.uint64)
+        self._held.append(np.column_stack([keys, contact_niches(held), when]))
 
-def missing(wanted: str) -> dict[str, RunSpec]:
-    """Return the runs of the benchmark that the table lacks and whose name has `wanted` in it."""
-    table = read_table()
-    return {
-        name: spec
-        for file in CAMPAIGNS
-        for name, spec in read_campaign(file, here=False).runs.items()
-        if wanted in name and key(spec) not in table
-    }
-
-
-def run(home: Path, wanted: str, *, only_list: bool) -> int:
-    """Carry out missing runs as a campaign below `home`, and add each finished one to the table."""
-    runs = missing(wanted)
-    print(f"{len(runs)} runs are missing, {sum(spec.evaluations for spec in runs.values()):,} evaluations.")
-    if only_list or not runs:
-        print(*runs, sep="\n")
-        return 0
-    for file in FILES:
-        if any(file in (Path(spec.gripper).name, Path(spec.object).name) for spec in runs.values()):
-            make_asset(home / NAME / file)
-    crosses = [_cross(spec, home) for spec in runs.values()]
-    source = home / "missing.toml"
-    source.write_text(tomli_w.dumps({"cross": crosses}), encoding="utf-8")
-    command = [sys.executable, "-m", "qdgrasp", "campaign", str(source), "--out", str(home / "missing")]
-    ended = subprocess.run(command, check=False).returncode
-    table = read_table()
-    for path in sorted((home / "missing" / "runs").iterdir()):
-        folder = RunFolder(path)
-        if folder.spec.evaluations <= _evaluations(folder):
-            row = measured(folder)
-            table[tuple(row[name] for name in KEY)] = row
-    write_table(table)
-    return ended
+    def line(self) -> Row:
+        """Return its line of the table."""
+        held = np.concatenate(self._held)
+        found = {
+            f"{count}_{n}s": str(len(np.unique(held[held[:, 2] <= 100 * n, place])))
+            for place, count in enumerate(COUNTS)
+            for n in SECONDS
+        }
+        spec = self.spec
+        thing = f"grasp-bench-1/{Path(spec.object).name}" if "/" in spec.object else spec.object
+        values = (spec.gripper, thing, spec.method, str(spec.seed), str(self.evaluations))
+        return dict(zip((*KEY, "evaluations"), values, strict=True)) | found
 
 
-def _cross(spec: RunSpec, home: Path) -> dict[str, Any]:
-    values = to_values(spec)
-    return values | {name: located(values[name], home) for name in ("gripper", "object")}
+def race(gripper: str, thing: str, seed: int, home: Path) -> list[Row]:
+    """Let all methods of a scene run for the same CPU time; return their lines."""
+    values = {"gripper": gripper, "object": thing, "seed": seed, "surface_seed": seed, "engine": "mujoco"}
+    values |= {"protocol": "physical", "overlaps": "redraw", "evaluations": 10**6}
+    if thing.startswith("grasp-bench-1/"):
+        file = home / Path(thing).name
+        if not file.exists():
+            make_asset(file)
+        values |= {"object": str(file), "mass": OBJECTS[file.stem].mass}
+    with Evaluator(build_scene(full_spec(values))) as evaluator:
+        racers = []
+        for name, more in PLAN["methods"].items():
+            try:
+                racers.append(Racer(full_spec(values | {"method": name} | more), evaluator))
+            except JawNeeded:
+                continue  # this prior is not for such a hand
+        for racer in racers:  # what all need once, such as the distances that a closing hand covers
+            racer.step()
+            racer.__init__(racer.spec, evaluator)  # type: ignore[misc]
+        while running := [racer for racer in racers if racer.seconds < SECONDS[-1]]:
+            min(running, key=lambda racer: racer.seconds).step()
+    return [racer.line() for racer in racers]
 
 
-def _evaluations(folder: RunFolder) -> int:
-    with folder.journal() as journal:
-        return int(evaluation_mask(journal.rows(0, journal.count), folder.spec.overlaps).sum())
+def run(wanted: str, most_seeds: int, *, only_list: bool) -> None:
+    """Carry out the races that the table lacks, one seed of all scenes after another."""
+    scenes = [tuple(scene) for group in GROUPS for scene in PLAN[group]]
+    known = {(row["gripper"], row["object"], row["seed"]) for row in read_table().values()}
+    missing = [
+        (*scene, seed)
+        for seed in PLAN["seeds"][:most_seeds]
+        for scene in scenes
+        if (*scene, str(seed)) not in known and wanted in "-".join((*scene, f"s{seed}"))
+    ]
+    print(*("-".join((*scene, f"s{seed}")) for *scene, seed in missing), sep="\n")
+    for gripper, thing, seed in () if only_list else missing:
+        with tempfile.TemporaryDirectory() as home:
+            lines = race(gripper, thing, seed, Path(home))
+        table = read_table() | {tuple(line[name] for name in KEY): line for line in lines}
+        write_table(table)
+        print(*(", ".join(f"{key} {value}" for key, value in line.items()) for line in lines), sep="\n")
 
 
-@dataclass(frozen=True)
-class Arm:
-    """The runs of one method on one scene.
+def medians(rows: Sequence[Row], column: str) -> dict[str, float]:
+    """Return the median over seeds of a column, by method."""
+    found: dict[str, list[float]] = {}
+    for row in rows:
+        found.setdefault(row["method"], []).append(float(row[column]))
+    return {name: float(np.median(values)) for name, values in found.items()}
 
-    Attributes
-    ----------
-    method
-        The method; MAP-Elites with its population.
-    scene
-        Hand and object.
-    rows
-        Its runs, one a seed.
+
+def ratio(rows: Sequence[Row], column: str, other: str | None = None) -> float:
+    """Return the default over another method of a scene, or over the best other; NaN: it is not there.
+
+    Counts are taken plus one, so that a method that found nothing has a ratio.
     """
-
-    method: str
-    scene: tuple[str, str]
-    rows: tuple[Row, ...]
-
-    def hold(self, work: str) -> float:
-        """Return the median over runs of cells that hold after some work; NaN where a run had less."""
-        name = "cells_that_hold" if work == "end" else f"after_{work}"
-        return float(np.median([float(row.get(name) or "nan") for row in self.rows]))
-
-    @cached_property
-    def seconds(self) -> float:
-        """CPU seconds of a run, median."""
-        return float(np.median([float(row["cpu_seconds"]) for row in self.rows]))
+    values = medians(rows, column)
+    ours = values.pop(DEFAULT, np.nan)
+    rest = [value for name, value in values.items() if other in (None, name)]
+    return (ours + 1) / (max(rest) + 1) if rest else np.nan
 
 
-GROUPS: dict[str, Callable[[tuple[str, str]], bool]] = {
-    "held out, two fingers": lambda scene: scene not in TUNING and scene[0] in JAWS,
-    "held out, more fingers": lambda scene: scene not in TUNING and scene[0] not in JAWS,
-    "tuning, two fingers": lambda scene: scene in TUNING,
-}
-
-
-def arms(least: int = 5) -> dict[tuple[str, str], dict[str, Arm]]:
-    """Return the arms of each scene by method, of those with `least` seeds."""
-    found: dict[tuple[str, str], dict[str, list[Row]]] = {}
-    for row in read_table().values():
-        name = row["method"] + (f", population {row['population']}" if row["population"] else "")
-        found.setdefault((row["gripper"], row["object"]), {}).setdefault(name, []).append(row)
-    return {
-        scene: {name: Arm(name, scene, tuple(rows)) for name, rows in methods.items() if len(rows) >= least}
-        for scene, methods in found.items()
-    }
-
-
-def log_ratios(
-    scenes: Sequence[Mapping[str, Arm]], other: str | None, work: str
-) -> tuple[NDArray[np.float64], int]:
-    """Return log(cells of the default / of the other method) for each scene, and how many are below 0.
-
-    `other` None is the method with the most cells of each scene. Cells are counted plus one, so that a
-    method which found nothing has a ratio. Scenes where a run did less work are left out.
-    """
-    ratios = []
-    for methods in scenes:
-        rest = [arm for name, arm in methods.items() if name != DEFAULT and other in (None, name)]
-        if DEFAULT not in methods or not rest:
-            continue
-        values = [arm.hold(work) for arm in rest]
-        ours = methods[DEFAULT].hold(work)
-        if not np.isnan([ours, *values]).any():
-            ratios.append(np.log((ours + 1) / (max(values) + 1)))
-    found = np.array(ratios)
-    return found, int((found < 0).sum())
-
-
-def ratio_words(ratios: NDArray[np.float64]) -> str:
+def mean_words(ratios: NDArray[np.float64]) -> str:
     """Return the geometric mean of ratios with its 95 % interval over scenes, from three scenes on."""
+    ratios = np.log(ratios[~np.isnan(ratios)])
     if not len(ratios):
         return ""
     mean = f"{np.exp(ratios.mean()):.2f}"
@@ -238,63 +192,67 @@ def ratio_words(ratios: NDArray[np.float64]) -> str:
     return f"{mean} ({low:.2f} to {high:.2f})"
 
 
+def scenes_of(group: str) -> dict[tuple[str, str], list[Row]]:
+    """Return the lines of a group's scenes that are in, by scene."""
+    found: dict[tuple[str, str], list[Row]] = {}
+    for row in read_table().values():
+        if [row["gripper"], row["object"]] in PLAN[group]:
+            found.setdefault((row["gripper"], row["object"]), []).append(row)
+    return found
+
+
 def table_lines() -> Iterator[str]:
-    """Yield the lines of the table in Markdown: the default over each other method, after equal work."""
-    words = [f"{name.removesuffix('s')} CPU s" if name.endswith("s") else name for name in SHOWN]
-    words = [f"{word} evaluations" if word in EVALUATIONS else word for word in words]
-    head = ["scenes", "the default over", "runs", "cells that hold", "CPU s", *words]
-    yield "| " + " | ".join(head) + " |"
-    yield "|---|---|" + "---:|" * (len(head) - 2)
-    for group, has in GROUPS.items():
-        scenes = [methods for scene, methods in arms().items() if has(scene) and DEFAULT in methods]
-        methods = sorted({name for one in scenes for name in one} - {DEFAULT})
-        yield _line(group, f"(`{DEFAULT}` itself)", [one[DEFAULT] for one in scenes], ["1"] * len(SHOWN))
-        for name in methods:
-            ratios = [ratio_words(log_ratios(scenes, name, work)[0]) for work in SHOWN]
-            yield _line(group, f"`{name}`", [one[name] for one in scenes if name in one], ratios)
-        best = [log_ratios(scenes, None, work) for work in SHOWN]
-        counts = [
-            f"**{ratio_words(found)}**; behind on {n} of {len(found)}" if len(found) else ""
-            for found, n in best
-        ]
-        yield _line(group, "**the best other of each scene**", [], counts)
-
-
-def _line(group: str, name: str, known: Sequence[Arm], ratios: Sequence[str]) -> str:
-    sums = ["", "", ""]
-    if known:
-        hold, seconds = (
-            np.mean([arm.hold("end") for arm in known]),
-            np.mean([arm.seconds for arm in known]),
-        )
-        sums = [str(sum(len(arm.rows) for arm in known)), f"{hold:.0f}", f"{seconds:.0f}"]
-    return "| " + " | ".join([group, name, *sums, *ratios]) + " |"
+    """Yield the table in Markdown: the default over each other method, then each scene."""
+    columns = [(count, n) for n in SHOWN for count in COUNTS]
+    yield "| scenes | the default over | " + " | ".join(f"{COUNTS[c]}, {n} CPU s" for c, n in columns) + " |"
+    yield "|---|---|" + "---:|" * len(columns)
+    for group, words in GROUPS.items():
+        scenes = scenes_of(group)
+        others = [name for name in PLAN["methods"] if name != DEFAULT]
+        for name in [*others, None]:
+            cells_ = [
+                np.array([ratio(rows, f"{count}_{n}s", name) for rows in scenes.values()])
+                for count, n in columns
+            ]
+            if any(len(each) and not np.isnan(each).all() for each in cells_):
+                label = f"`{name}`" if name else "**the best other of each scene**"
+                yield f"| {words} | {label} | " + " | ".join(map(mean_words, cells_)) + " |"
+        for (hand, thing), rows in scenes.items():
+            found = [
+                f"{medians(rows, f'{c}_{n}s')[DEFAULT]:.0f}, {ratio(rows, f'{c}_{n}s'):.2f}"
+                for c, n in columns
+            ]
+            seeds = len({row["seed"] for row in rows})
+            yield (
+                f"| {hand} on {Path(thing).stem} ({seeds}) | count, over the best other | "
+                + " | ".join(found)
+                + " |"
+            )
 
 
 def draw(file: Path = FIGURE) -> None:
-    """Draw cells that hold over CPU seconds: medians over runs, geometric means over a group's scenes."""
-    figure, panels = plt.subplots(1, len(GROUPS), figsize=(11, 3.8), layout="constrained")
-    methods = sorted({name for one in arms().values() for name in one})
-    colours = {name: plt.get_cmap("tab10")(number % 10) for number, name in enumerate(methods)}
-    for panel, (group, has) in zip(panels, GROUPS.items(), strict=True):
-        scenes = [methods for scene, methods in arms().items() if has(scene) and DEFAULT in methods]
-        for name in methods:
-            here = [one[name] for one in scenes if name in one]
-            points = [
-                (SECONDS[work], np.exp(np.log(values).mean()))
-                for work in SECONDS
-                if here and not np.isnan(values := np.array([arm.hold(work) + 1 for arm in here])).any()
-            ]
-            if points:
-                panel.plot(*zip(*points, strict=True), "o-", markersize=3, color=colours[name], label=name)
-        panel.set(xscale="log", yscale="log", title=f"{group}: {len(scenes)} scenes", xlabel="CPU seconds")
-        panel.set_xticks([5, 10, 20, 40, 80], ["5", "10", "20", "40", "80"])
-        for axis in (panel.xaxis, panel.yaxis):
-            axis.set_minor_formatter(NullFormatter())
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.legend(fontsize=7, frameon=False)
-    panels[0].set_ylabel("1 cm cells with a grasp that holds")
-    figure.savefig(file, dpi=130)
+    """Draw both counts over CPU seconds: geometric means over scenes of medians over seeds."""
+    figure, panels = plt.subplots(2, len(GROUPS), figsize=(11, 6.5), layout="constrained", squeeze=False)
+    names = list(PLAN["methods"])
+    for (group, words), column in zip(GROUPS.items(), panels.T, strict=True):
+        scenes = scenes_of(group)
+        for (count, label), panel in zip(COUNTS.items(), column, strict=True):
+            for place, name in enumerate(names):
+                have = [rows for rows in scenes.values() if any(row["method"] == name for row in rows)]
+                means = [
+                    np.exp(np.mean([np.log(medians(rows, f"{count}_{n}s")[name] + 1) for rows in have]))
+                    for n in SECONDS
+                    if have
+                ]
+                if means:
+                    colour = plt.get_cmap("tab10")(place)
+                    panel.plot(SECONDS, means, "o-", markersize=3, color=colour, label=name)
+            panel.set(xscale="log", yscale="log", title=f"{words}: {len(scenes)} scenes")
+            panel.set(xlabel="CPU seconds", ylabel=label, xticks=SECONDS, xticklabels=SECONDS)
+            panel.xaxis.set_minor_formatter(NullFormatter())
+            panel.spines[["top", "right"]].set_visible(False)
+    panels[0, 0].legend(fontsize=7, frameon=False)
+    figure.savefig(file, dpi=110)
     plt.close(figure)
 
 
@@ -310,17 +268,17 @@ def write_page() -> None:
 def main() -> int:
     parser = argparse.ArgumentParser("python -m benchmarks.grasp_bench", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    running = commands.add_parser("run", help="carry out the missing runs; can be stopped and run again")
-    running.add_argument("--cell", default="", help="only runs with this in their name: panda-ycb_bowl")
-    running.add_argument("--home", type=Path, default=ROOT / "runs" / "grasp-bench", help="their folder")
+    running = commands.add_parser("run", help="carry out the missing races; can be stopped and run again")
+    running.add_argument("--scene", default="", help="only races with this in their name: panda-ycb_bowl-s1")
+    running.add_argument("--seeds", type=int, default=len(PLAN["seeds"]), help="only so many seeds of each")
     running.add_argument("--list", action="store_true", help="print their names, and do nothing")
     commands.add_parser("table", help="make the table and the figure of docs/results.md from runs.csv")
     asked = parser.parse_args()
     if asked.command == "table":
         write_page()
-        return 0
-    asked.home.mkdir(parents=True, exist_ok=True)
-    return run(asked.home, asked.cell, only_list=asked.list)
+    else:
+        run(asked.scene, asked.seeds, only_list=asked.list)
+    return 0
 
 
 if __name__ == "__main__":

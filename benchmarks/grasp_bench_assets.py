@@ -1,37 +1,24 @@
-"""The objects and hands of the benchmark that neither the catalog nor the asset path has.
+"""The objects of the benchmark that neither the catalog nor the asset path has.
 
-Objects are parametric and closed, without random numbers, in coordinates of whole micrometres, so that their
-files have the same bits everywhere. Hands are those of URDFs in the package `pybullet`, repaired here, with
-the values of `benchmarks/grasp_bench_1`. Campaigns name a file as `grasp-bench-1/vase.stl`; a run has it as
-the path of that file, in a folder of this name.
+They are parametric and closed, without random numbers, in coordinates of whole micrometres, so that their
+files have the same bits everywhere. The benchmark names a file as `grasp-bench-1/vase.stl`.
 """
 
 import hashlib
-import json
-import sys
-import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.asset_paths import write_whole
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, join
-from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf
-from qdgrasp_assets.grippers.hand_model import guess_base
-from qdgrasp_assets.grippers.urdf import read_urdf
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.spec import RunSpec
 
 NAME = "grasp-bench-1"
 """Name and version of the benchmark: its folder, and the beginning of its campaigns' names."""
-VALUES = Path(__file__).resolve().parent / "grasp_bench_1"
-"""The folder of the hands' values."""
 SIDES = 24  # Corners of a turned solid
 MILLIMETRE = 1e-3
 DIGEST_DIGITS = 16
@@ -242,103 +229,13 @@ OBJECTS = {
 }
 
 
-@dataclass(frozen=True)
-class BenchmarkHand:
-    """A hand of a URDF in a public package, repaired as `qdgrasp gripper new --mend` does, with fixed values.
-
-    `qdgrasp gripper new --mend --yes` guessed its values. They lie in `VALUES`, so that a better guess does
-    not change the benchmark. Ratings were left out, as the efforts in its URDF cannot be true:
-    `physical` bounds its drives as those of any hand without ratings.
-    """
-
-    urdf: str
-    """Its path below the folder of `pybullet_data`."""
-    sha256: str
-    """The beginning of the digest of its files (`hand_digest`)."""
-
-
-HANDS = {
-    "xarm": BenchmarkHand("xarm/xarm6_with_gripper.urdf", "3f4f54a80a786215"),
-    "pr2": BenchmarkHand("pr2_gripper.urdf", "21a42bf91a7b69ed"),
-}
-FILES = tuple(f"{name}.toml" for name in HANDS) + tuple(f"{name}.stl" for name in OBJECTS)
-
-
-def asset_name(name: str) -> str | None:
-    """Return the name of a hand or object made here, of its file's path; None for any other name."""
-    path = Path(name)
-    return path.stem if path.parent.name == NAME and path.name in FILES else None
-
-
-def has_own_mass(spec: RunSpec) -> bool:
-    """Return whether the object of a spec is made here, and weighs what it does in the benchmark."""
-    made = OBJECTS.get(asset_name(spec.object) or "")
-    return made is not None and spec.mass == made.mass
-
-
-def located(name: str, home: Path) -> str:
-    """Return the path below `home` of a hand or object made here; any other name as it is."""
-    return name if asset_name(name) is None else str(home.absolute() / NAME / Path(name).name)
-
-
 def make_asset(path: Path) -> None:
-    """Write the file of a hand or object made here, unless it is there with the right content.
-
-    Raises
-    ------
-    InputError
-        Its content is not the benchmark's, or the package `pybullet` is not installed.
-    """
-    if path.stem in HANDS:
-        _make_hand(path, HANDS[path.stem])
-    elif not path.is_file() or _digest(path.read_bytes()) != OBJECTS[path.stem].sha256:
-        write_whole(path, OBJECTS[path.stem].file)
-        _check(path, _digest(path.read_bytes()), OBJECTS[path.stem].sha256)
-
-
-def _make_hand(path: Path, hand: BenchmarkHand) -> None:
-    if hand_digest(path) == hand.sha256:
-        return
-    data = find_spec("pybullet_data")
-    if data is None or data.origin is None:
-        raise InputError(f"'{path.stem}' is made of a URDF of the package pybullet, which is not installed.")
-    robot = read_urdf(Path(data.origin).parent / hand.urdf)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    base, _ = guess_base(robot)
-    with repaired_copy(robot, base, path, _tell, may_centre=True):
-        write_whole(path, (VALUES / path.name).read_bytes())
-    _check(path, hand_digest(path), hand.sha256)
-
-
-def _tell(sentence: str) -> None:
-    print(sentence, file=sys.stderr)
-
-
-def hand_digest(path: Path) -> str:
-    """Return the digest of a hand's values, its repaired URDF and the meshes of that, visual shapes apart.
-
-    Empty if a file is missing.
-    """
-    urdf, meshes = repaired_urdf(path), repaired_meshes(path)
-    if not (path.is_file() and urdf.is_file() and meshes.is_dir()):
-        return ""
-    values = json.dumps(tomllib.loads(path.read_text(encoding="utf-8")), sort_keys=True)
-    robot = read_urdf(urdf).element
-    for link in robot.iter("link"):
-        for visual in link.findall("visual"):
-            link.remove(visual)
-    text = ElementTree.canonicalize(ElementTree.tostring(robot), strip_text=True)
-    files = sorted({urdf.parent / mesh.get("filename", "") for mesh in robot.iter("mesh")})
-    return _digest(b"".join([values.encode(), text.encode(), *(file.read_bytes() for file in files)]))
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:DIGEST_DIGITS]
-
-
-def _check(path: Path, found: str, known: str) -> None:
-    if found != known:
+    """Write the file of an object made here; InputError if its content is not the benchmark's."""
+    made = OBJECTS[path.stem]
+    content = made.file
+    if (found := hashlib.sha256(content).hexdigest()[:DIGEST_DIGITS]) != made.sha256:
         raise InputError(
-            f"{path} comes out otherwise here than in the benchmark (digest {found}, not {known}); take the "
-            "file, and what lies beside it, from a machine where it does not."
+            f"{path} comes out otherwise here than in the benchmark (digest {found}, not {made.sha256}); "
+            "take the file from a machine where it does not."
         )
+    write_whole(path, content)

@@ -82,7 +82,7 @@ class SingleRun:
             if len(self.successes.rows)
             else 0,
             "genomes": len(nominal),
-            "proposals": int(nominal["proposals"].sum(dtype=np.int64)),
+            "steps": int(nominal["steps"].sum(dtype=np.int64)),
             "evaluation_cpu_seconds": round(self.evaluation_seconds, 2),
             "search_microseconds_per_genome": round(1e6 * self.search_seconds / len(nominal), 1),
         }
@@ -159,7 +159,7 @@ def arguments(parser: argparse.ArgumentParser) -> argparse.ArgumentParser:
     """Add the options that choose the run."""
     parser.add_argument("--gripper", default="ref_panda_2f")
     parser.add_argument("--object", default="ycb_rubiks_cube")
-    parser.add_argument("--method", default="aimed")
+    parser.add_argument("--method", default="portfolio")
     parser.add_argument("--evaluations", type=int, default=3000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--overlaps", choices=("count", "redraw"), help="as the method has it")

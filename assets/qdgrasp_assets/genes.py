@@ -14,16 +14,6 @@ Box = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 NU_A = np.pi / 4  # Half-aperture of the approach cone (Huber et al. 2024, section III-A).
 ANTIPODAL = "antipodal"  # The prior that needs a two-finger hand
-VALUED = "valued"  # The prior that aims at a cell and chooses among candidates by their value
-GRIP_FEATURES = ("fingers", "squareness", "opposition", "alignment", "lever", "depth", "stroke")
-"""Features of the contacts that closing fingers would make."""
-VALUE_FEATURES = ("swept", "opposed", "facing", "distance", "height", *GRIP_FEATURES, "constant")
-"""Features by which `VALUED` ranks candidates, also reported with a pose (docs/methods.md)."""
-RANKING_GENES = 2 * len(VALUE_FEATURES) + 1
-"""Number of genes that rank candidates: the weights of two models, and the value wanted."""
-MOST_CANDIDATES = 32
-TOUCH_VALUE = 0.2  # Value of a grasp that only touches, relative to the best
-STEEPEST_VALUE = 64.0  # Largest absolute weight of a feature in the models of `VALUED`
 
 
 def layout(scene: Scene, prior: str) -> Layout:
@@ -37,11 +27,6 @@ def layout(scene: Scene, prior: str) -> Layout:
     synergy = (Gene("synergy", 0.0, len(gripper.synergies) - 1.0),) if gripper.synergies else ()
     free = tuple(Gene(joint.name, joint.low, joint.high) for joint in gripper.free_joints)
     return Layout(prior, PRIOR_GENES[prior](scene) + synergy + free)
-
-
-def descriptors(prior: str) -> int:
-    """Return how many numbers describe a genome's pose: position and the prior's features."""
-    return 3 + (len(VALUE_FEATURES) if prior == VALUED else 0)
 
 
 def archive_box(scene: Scene, prior: str) -> Box:
@@ -101,24 +86,7 @@ def _spherical(scene: Scene) -> Genes:
     return (radius, *(Gene(name, 0.0, high) for name, high in angles.items()))
 
 
-def _valued(scene: Scene) -> Genes:
-    """Return the genes of `VALUED`: the aim, weights of both models, and the value wanted."""
-    target = zip("xyz", *(corner.tolist() for corner in archive_box(scene, VALUED)), strict=True)
-    contact = zip("xyz", scene.object_low, scene.object_high, strict=True)
-    weights = (f"{model}_{feature}" for model in ("touch", "quality") for feature in VALUE_FEATURES)
-    return (
-        *(Gene(f"{axis}_t", low, high) for axis, low, high in target),
-        *(Gene(f"{axis}_c", low, high) for axis, low, high in contact),
-        Gene("omega", 0.0, 2 * np.pi),
-        Gene("looseness", 0.0, 1.0),
-        Gene("candidates", 1.0, float(MOST_CANDIDATES)),
-        *(Gene(weight, -STEEPEST_VALUE, STEEPEST_VALUE) for weight in weights),
-        Gene("wanted", 0.0, 1.0),
-    )
-
-
 PRIOR_GENES: dict[str, Callable[[Scene], Genes]] = {
-    VALUED: _valued,
     GIVEN: _given,
     ANTIPODAL: _antipodal,
     "approach": lambda scene: _cone(scene, NU_A),

@@ -76,8 +76,8 @@ class Evaluations:
     Parameters
     ----------
     prior
-        The rule that decodes genomes: "contact", "approach", "antipodal", "spherical", "valued" or
-        "given" (docs/methods.md).
+        The rule that decodes genomes: "contact", "approach", "antipodal", "spherical" or "given"
+        (docs/methods.md).
     place
         Where the workers run.
     **scenery

@@ -122,7 +122,6 @@ class Result(Message, frozen=True, kw_only=True):
     key: ShownKey = b""
     n: RowCount
     joints: Width
-    descriptors: Width
     contact_slots: Width = 0
     columns: dict[str, bytes]
     """All of `rows.RESULT`; rows named in `failures` hold zeros."""
@@ -223,7 +222,6 @@ class Recordable(Message, frozen=True, kw_only=True):
     n: Annotated[int, Meta(ge=0, le=4096)]
     genes: Width
     joints: Width
-    descriptors: Width
     contact_slots: Width = 0
     columns: dict[str, bytes]
     """All of `rows.COLUMNS`."""
@@ -254,7 +252,6 @@ class OpenRun(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     scene: Digest
     genes: Width
     joints: Width
-    descriptors: Width
     contact_slots: Width = 0
 
 

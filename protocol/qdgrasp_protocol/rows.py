@@ -33,7 +33,7 @@ class Outcome(IntEnum):
     ERROR = 0
     """The simulator failed on this row three times; the journal holds the reason."""
     DEAD_END = 1
-    """No pose to simulate: decoding found no free pose that promises enough."""
+    """No pose to simulate: the genome stands for none."""
     OVERLAP = 2
     """The open hand overlaps the object at the commanded pose."""
     MISSED = 3
@@ -179,12 +179,17 @@ RESULT = (
         "1",
         "disturbances survived: 0 to 2 shakes, in `physical` 0 to 6 forces, in `lift` 0 or 1",
     ),
-    RowColumn("proposals", "<u2", "1", "poses that decoding screened for this row; 1 where it draws none"),
+    RowColumn(
+        "steps",
+        "<u4",
+        "1",
+        "steps of physics that its evaluation simulated, in all engines together; 0 where filters decided",
+    ),
     RowColumn(
         "descriptor",
         "<f4",
-        "descriptors",
-        "behaviour descriptor: the hand's commanded position [m], CoM frame; then the prior's features of it",
+        "3",
+        "behaviour descriptor: the hand's commanded position [m], CoM frame",
     ),
     RowColumn(
         "base_to_object", "<f4", "7", "the hand's root link in the object's CoM frame: x y z [m], qx qy qz qw"
@@ -252,7 +257,6 @@ class RowShape:
 
     genes: int
     joints: int
-    descriptors: int = 3
     contact_slots: int = 0
     """Contacts that a row has room for; 0: rows of a scene that records nothing of what closing did."""
 

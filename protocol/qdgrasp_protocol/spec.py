@@ -122,10 +122,10 @@ Overlaps = Literal["count", "redraw"]
 """Treatment of poses whose open hand overlaps the object: counted as evaluations or redrawn."""
 
 
-AimFor = Literal["hold", "touch", "eta", "margin"]
-"""Objectives of a search: robust grasps, contact, the sum over trials, the Ferrari-Canny margin."""
-DiversityName = Literal["position", "orientation", "posture"]
-"""Features that tell grasps apart: the cell; its orientation bin too; its synergy too."""
+AimFor = Literal["hold", "touch"]
+"""Objectives of the default search: grasps that survive all disturbances, or contact after closing."""
+DiversityName = Literal["position", "orientation", "contact"]
+"""Features that tell grasps apart: the hand's cell; its orientation bin too; contacts and the hand's side."""
 
 APPROACH_DISTANCE = 0.1
 """Distance from which a hand has to come where there is a table, unless another is said [m].
@@ -136,24 +136,8 @@ ANY_RESTING_POSE = "any"
 """Stands for all resting poses of an object: the hand has to come above the table in one of them at least."""
 MOST_RESTING_POSES = 100  # Each has a hundredth of all probability at least
 
-DEFAULT_METHOD = "aimed"
+DEFAULT_METHOD = "portfolio"
 MAX_POPULATION = 4096  # Genomes in a generation, at most, and poses in a spec
-
-
-Weights = tuple[float, ...]
-
-
-class FirstWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Weights that the models of a search for value begin with; None: as without them."""
-
-    touch: Weights | None = None
-    """P(touch) of a candidate, one for each of its features (docs/methods.md)."""
-    quality: Weights | None = None
-    """Quality of a candidate that touches."""
-    cell_touch: Weights | None = None
-    """P(touch) in a cell, one for each of its features."""
-    cell_quality: Weights | None = None
-    """Quality of a grasp that touches in a cell."""
 
 
 NoteText = Annotated[str, Meta(max_length=500)]
@@ -177,11 +161,11 @@ GOAL_KEYS = ("grasps", "saturation")
 STOP_KEYS = ("evaluations", *GOAL_KEYS)
 """Keys of a spec's stop criteria, which may change when a run goes on."""
 
-TABLE_KEYS = ("mesh", "about", "first_weights")
+TABLE_KEYS = ("mesh", "about")
 """Keys of a spec whose values are tables, which stand last in TOML."""
-UNTYPED_KEYS = ("about", "poses", "first_weights")
+UNTYPED_KEYS = ("about", "poses")
 """Keys that nobody types: files and other commands give them."""
-OBJECTIVE_KEYS = ("aim_for", "diversity", "grasps_per_cell")
+OBJECTIVE_KEYS = ("aim_for", "diversity")
 """Keys of a spec that only the method with an objective has."""
 
 OWN_SEARCH = "custom_"
@@ -225,11 +209,9 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     trials: Annotated[int, Meta(ge=1, le=TRIALS)] | None = None
     """Trials of each success under `robust`; default 100."""
     aim_for: AimFor | None = None
-    """Objective of the method aimed; eta needs the protocol robust."""
+    """Objective of the method portfolio."""
     diversity: DiversityName | None = None
     """Features that tell grasps apart in a search with an objective; default position."""
-    grasps_per_cell: Annotated[int, Meta(ge=1, le=60)] | None = None
-    """Grasps of different kinds after which a cell is filled; default 1 by position, else no bound."""
     evaluations: Annotated[int, Meta(ge=1, le=10**9)] = 10_000
     """The budget: counted evaluations."""
     grasps: Annotated[int, Meta(ge=1, le=10**9)] | None = None
@@ -256,8 +238,6 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         None
     )
     """Hand poses for the method `given`: x y z [m], qx qy qz qw, then synergy label and free joints [rad]."""
-    first_weights: FirstWeights | None = None
-    """Weights that other runs learned, for the method `aimed` (`--warm-start`)."""
 
     @property
     def has_own_search(self) -> bool:

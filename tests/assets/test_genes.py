@@ -6,7 +6,6 @@ from tests.common import with_gripper
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import (
     PRIOR_GENES,
-    VALUE_FEATURES,
     archive_box,
     layout,
     spherical_radius,
@@ -21,18 +20,12 @@ def cube() -> Scene:
     return build_scene(RunSpec(gripper="panda", object="rubiks_cube"))
 
 
-AIM = ("x_t", "y_t", "z_t", "x_c", "y_c", "z_c", "omega", "looseness", "candidates")
 NAMES = {
     "antipodal": ("x_r", "y_r", "z_r", "Omega"),
     "approach": ("x_r", "y_r", "z_r", "nu", "d", "xi", "omega"),
     "contact": ("x_r", "y_r", "z_r", "nu", "d", "xi", "omega"),
     "given": ("x", "y", "z", "qx", "qy", "qz", "qw"),
     "spherical": ("r", "longitude", "colatitude", "alpha", "beta", "gamma"),
-    "valued": (
-        *AIM,
-        *(f"{model}_{feature}" for model in ("touch", "quality") for feature in VALUE_FEATURES),
-        "wanted",
-    ),
 }
 
 

@@ -5,16 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks import grasp_bench
-from benchmarks.grasp_bench import Arm, log_ratios
+from benchmarks.grasp_bench import ratio
 from benchmarks.grasp_bench_assets import OBJECTS, make_asset
 
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_tools.campaign.campaign_file import read_campaign
-
-
-def arm(method: str, *cells: str) -> Arm:
-    rows = tuple({"cells_that_hold": number, "after_5s": number, "cpu_seconds": "6"} for number in cells)
-    return Arm(method, ("panda", "mug"), rows)
 
 
 @pytest.mark.parametrize("name", OBJECTS)
@@ -30,22 +24,19 @@ def test_an_object_that_is_made_otherwise_here_is_refused(tmp_path: Path, monkey
         make_asset(tmp_path / "knob.stl")
 
 
-def test_every_run_that_is_in_is_one_that_the_campaigns_ask_for() -> None:
-    asked = {
-        grasp_bench.key(spec)
-        for file in grasp_bench.CAMPAIGNS
-        for spec in read_campaign(file, here=False).runs.values()
-    }
-    assert grasp_bench.read_table().keys() <= asked
+def row(method: str, seed: int, cells: int) -> dict[str, str]:
+    return {"method": method, "seed": str(seed), "cells_15s": str(cells)}
 
 
-def test_the_best_other_is_chosen_for_each_scene_and_a_scene_without_that_work_is_left_out() -> None:
-    scenes = [
-        {"aimed": arm("aimed", "19", "19"), "a": arm("a", "9", "9"), "b": arm("b", "4", "4")},
-        {"aimed": arm("aimed", "9", "9"), "a": arm("a", "4", "4"), "b": arm("b", "19", "19")},
-        {"aimed": arm("aimed", "9", ""), "a": arm("a", "4", "4")},
-    ]
-    ratios, behind = log_ratios(scenes, None, "5s")
-    assert np.exp(ratios).tolist() == pytest.approx([2, 0.5])
-    assert behind == 1
-    assert np.exp(log_ratios(scenes, "b", "5s")[0]).tolist() == pytest.approx([4, 0.5])
+def test_the_default_is_compared_with_the_best_other_by_medians_over_seeds() -> None:
+    rows = [row("portfolio", 1, 19), row("portfolio", 2, 19), row("a", 1, 4), row("a", 2, 14), row("b", 1, 4)]
+    assert ratio(rows, "cells_15s") == pytest.approx(2)
+    assert ratio(rows, "cells_15s", "b") == pytest.approx(4)
+    assert np.isnan(ratio(rows[2:], "cells_15s"))
+
+
+def test_a_race_lets_each_method_of_the_hand_find_something(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(grasp_bench, "SECONDS", (1,))
+    found = {line["method"]: line for line in grasp_bench.race("barrett", "tennis_ball", 1, tmp_path)}
+    assert not any(name.startswith("antipodal") for name in found)
+    assert int(found["portfolio"]["evaluations"]) > 0

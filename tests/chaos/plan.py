@@ -67,7 +67,7 @@ class RunKind:
 
 RUN_KINDS = (
     RunKind("contact_rand", "paper", 200, ROW_SECONDS),
-    RunKind("aimed", "paper", None, 0.0),
+    RunKind("portfolio", "paper", None, 0.0),
     RunKind("contact_me_scs", "paper", 200, ROW_SECONDS),
     RunKind("contact_cma_mae", "paper", None, ROW_SECONDS),
     RunKind("contact_rand", "robust", 200, ROW_SECONDS),

@@ -54,7 +54,7 @@ def rows_of(kind: str, n: int = BUDGET, seed: int = 0) -> Rows:
     rows["outcome"] = np.repeat([int(outcome) for outcome in KINDS[kind]], counts)
     rows["fitness"] = np.clip(rows["outcome"].astype(int) - Outcome.DROPPED, 0, 2)
     rows["base_to_object"][:, :3] = random.uniform(-0.1, 0.1, (n, 3))
-    rows["base_to_object"][:, 6], rows["surface_point"], rows["proposals"] = 1, 0.01, 1
+    rows["base_to_object"][:, 6], rows["surface_point"], rows["steps"] = 1, 0.01, 1
     rows["descriptor"] = rows["base_to_object"][:, :3]
     return rows
 

@@ -32,7 +32,7 @@ def random_rows(n: int, seed: int = 0, reach: float = 0.1) -> Rows:
 
 
 def reshape_rows(rows: Rows, shape: RowShape) -> Rows:
-    """Return the rows in a shape that is wider, zeros behind genes and descriptors, or narrower."""
+    """Return the rows in a shape that is wider, zeros behind genes, or narrower."""
     if rows.dtype == shape.dtype:
         return rows
     made = shape.empty(len(rows))
@@ -72,9 +72,7 @@ def write_journal(
     path: Path, spec: RunSpec, rows: Rows, bundle: Bundle | None, block: int = 1 << 20, run: str = "run"
 ) -> None:
     """Record rows in the folder of a run that was begun."""
-    shape = RowShape(
-        *(rows.dtype[name].shape[0] for name in ("genome", "joints", "descriptor", "contact_links"))
-    )
+    shape = RowShape(*(rows.dtype[name].shape[0] for name in ("genome", "joints", "contact_links")))
     identity = JournalIdentity(run, spec, bundle.digest if bundle else "0" * 64, shape)
     with JournalWriter.create(path, identity) as journal:
         journal.begin_epoch(1, 0.0)

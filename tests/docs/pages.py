@@ -111,7 +111,6 @@ ELSEWHERE = {
     r"kubectl ": "needs a cluster; the objects have tests of their own (tests/deploy)",
     r"python examples/own_optimiser\.py \S+ tcp/": "needs a router with workers; tests/examples has both",
     r"ssh ": "needs another machine",
-    r"qdgrasp run .*--warm-start": "needs runs of some hundred evaluations; it has tests of its own",
     r"qdgrasp asset fetch": "fetches gigabytes from the network; it has tests with a server of their own",
 }
 """Lines that are not run, by their beginning, with the reason; ours are parsed all the same."""

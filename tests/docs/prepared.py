@@ -26,22 +26,22 @@ population = 20
 
 [[cross]]
 object = "mug"
-method = "aimed"
+method = "portfolio"
 seed = [0, 1]
 
 [[cross]]
 object = "rubiks_cube"
-method = "aimed"
+method = "portfolio"
 seed = 0
 
 [[cross]]
 object = "part.stl"
 mass = 0.3
-method = "aimed"
+method = "portfolio"
 seed = [0, 1, 2]
 """
 """All runs that are assumed: of one campaign, for one worker is started sooner than six."""
-SPEC = 'gripper = "panda"\nobject = "mug"\nmethod = "aimed"\nevaluations = 150\n'
+SPEC = 'gripper = "panda"\nobject = "mug"\nmethod = "portfolio"\nevaluations = 150\n'
 MANY = """
 [defaults]
 gripper = "panda"
@@ -157,7 +157,7 @@ def run_of(target: str, seed: int = 0) -> Maker:
     """One of these runs, as a job of its own."""
 
     def make(prepared: Prepared, path: Path) -> None:
-        found = (prepared.make("all") / "runs").glob(f"panda-{target}-aimed-s{seed}-*")
+        found = (prepared.make("all") / "runs").glob(f"panda-{target}-portfolio-s{seed}-*")
         shutil.copytree(next(found), path)
         for name, content in new_job(path).items():
             (path / name).write_bytes(content)

@@ -57,13 +57,13 @@ def join_message(
 
 def result_message(**values: Any) -> Result:
     common = {"epoch": 1, "run": "run", "generation": 0, "batch": bytes(16), "attempt": 1, "wid": "0" * 32}
-    sizes = {"n": 1, "joints": 1, "descriptors": 3, "columns": {}, "cpu_seconds": 0.0}
+    sizes = {"n": 1, "joints": 1, "columns": {}, "cpu_seconds": 0.0}
     key = KEYS_BY_ID.get(str(values.get("wid")), b"")
     return Result(**common | sizes | {"key": key} | values)
 
 
 def open_run(**values: Any) -> OpenRun:
-    common = {"run": "run", "spec": b"", "scene": "0" * 64, "genes": 7, "joints": 2, "descriptors": 3}
+    common = {"run": "run", "spec": b"", "scene": "0" * 64, "genes": 7, "joints": 2}
     return OpenRun(**common | values)
 
 

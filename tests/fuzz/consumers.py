@@ -116,7 +116,7 @@ def seeds() -> dict[str, bytes]:
     known_of = {"pregrasp": rows["joints"], "synergy": number - 1, "eta": number / ROWS, "trials": number}
     drawn = found.success_table(rows, SHAPE, number=number, **known_of)
     widths = {"joints": SHAPE.joints, "contact_slots": SHAPE.contact_slots}
-    sizes = {"n": ROWS, "descriptors": SHAPE.descriptors} | widths
+    sizes = {"n": ROWS} | widths
     genes, failed = {"genes": SHAPE.genes}, {"failures": [messages.Failure(row=1, reason="it fell")]}
     known: dict[type[Message], dict[str, Any]] = {
         messages.Work: {"n": ROWS, "columns": pack(rows, LEASED)} | genes,

@@ -11,7 +11,6 @@ from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.spec import (
     AimFor,
     DiversityName,
-    FirstWeights,
     Overlaps,
     ProtocolName,
     RunSpec,
@@ -23,7 +22,6 @@ from qdgrasp_protocol.spec import (
 
 LEAST = {"gripper": "panda", "object": "mug"}
 POSITIVE = {"min_value": 1e-6, "allow_nan": False}
-WEIGHTS = st.none() | st.lists(st.floats(allow_nan=False)).map(tuple)
 SPECS = st.builds(
     RunSpec,
     gripper=st.text(),
@@ -35,7 +33,6 @@ SPECS = st.builds(
     protocol=st.sampled_from(get_args(ProtocolName)),
     aim_for=st.none() | st.sampled_from(get_args(AimFor)),
     diversity=st.none() | st.sampled_from(get_args(DiversityName)),
-    grasps_per_cell=st.none() | st.integers(1, 60),
     evaluations=st.integers(1, 10**9),
     seed=st.integers(0, 2**63 - 1),
     overlaps=st.sampled_from(get_args(Overlaps)),
@@ -47,7 +44,6 @@ SPECS = st.builds(
     surface_seed=st.integers(0, 2**63 - 1),
     poses=st.none()
     | st.lists(st.lists(st.floats(width=32, allow_nan=False)).map(tuple), min_size=1).map(tuple),
-    first_weights=st.none() | st.builds(FirstWeights, touch=WEIGHTS, cell_quality=WEIGHTS),
 )
 
 
@@ -65,8 +61,6 @@ def test_a_spec_comes_back_from_its_toml(spec: RunSpec) -> None:
         ("evaluations", 10**30, "a whole number"),
         ("mass", math.nan, "a number greater than 0 and at most 1000"),
         ("protocol", "papr", "one of 'lift', 'paper'"),
-        ("first_weights", {"touch": ["a"]}, "a table of touch (a list of numbers), quality"),
-        ("first_weights", {"tuch": [1.0]}, "a table of touch (a list of numbers), quality"),
         (
             "mesh",
             {"simplify": 3},

@@ -204,7 +204,6 @@ class FormulaSimulator:
         return PartialResult(
             n=len(found),
             joints=self._task.shape.joints,
-            descriptors=self._task.shape.descriptors,
             columns=pack(found, RESULT),
             failures=[Failure(row=place, reason="it raised") for place in failed],
             cpu_seconds=len(found) * self._speed.row_seconds,

@@ -79,7 +79,7 @@ def test_a_folder_of_meshes_is_a_campaign(qdgrasp):
     trimesh.creation.box(extents=(50, 60, 70)).export(parts / "large one.stl")
     asked = ("campaign", "--gripper", "panda", "--objects", parts, "--units", "mm", "--evaluations", 20)
     qdgrasp.succeed(*asked, "--mass", 0.3, "--workers", 1, "--out", "out")
-    found = qdgrasp.info("out/runs/panda-large-one-aimed-s0-physical")
+    found = qdgrasp.info("out/runs/panda-large-one-portfolio-s0-physical")
     assert (found["complete"], found["scale"], found["protocol"]) == (True, 0.001, "physical")
     assert "runs done        1" in qdgrasp("campaign", "out").out
 

@@ -33,7 +33,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.monitor.feed import Feed
 from qdgrasp_tools.monitor.job_model import JobView
 
-COUNTS = ("evaluations", "budget", "simulated", "proposals", "overlaps", "dead_ends", "successes", "cells")
+COUNTS = ("evaluations", "budget", "simulated", "steps", "overlaps", "dead_ends", "successes", "cells")
 
 
 @contextmanager

@@ -10,22 +10,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.common import PATIENCE
 
-from qdgrasp_assets.genes import RANKING_GENES, VALUED, layout
+from qdgrasp_assets.geometry.object_surface import ObjectSurface
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.decoder import DecodedGrasps, Decoder
 from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.object_geometry import ObjectSurface
 
 Genomes = NDArray[np.float32]
 T = TypeVar("T")
 NEAR = (-1.0, -0.5)
 """Genes nu and d of genomes that look straight at the surface from near by."""
 HANDS = ["panda", "barrett", "allegro", "shadow", "robotiq_2f"]
-LOOSENESS, CANDIDATES, WEIGHTS = 7, 8, slice(9, 15)
-"""Genes of the prior aimed."""
-RANKED_BY = slice(9, 9 + RANKING_GENES)
-"""The genes that rank candidates; the last one sets a threshold."""
 
 
 def draw(n: int, genes: int = 7, seed: int = 0, near: int = 0) -> Genomes:
@@ -67,32 +62,6 @@ def elsewhere(act: Callable[..., T], *arguments: object) -> T:
     """Call a function in a process of its own."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
         return pool.submit(act, *arguments).result(PATIENCE)
-
-
-def encoded(scene: Scene, values: NDArray[np.float64], prior: str = "valued") -> Genomes:
-    """Genomes (n, d) of a prior that stand for `values` (n, d) [m or rad]."""
-    genes = layout(scene, prior).genes
-    low, high = np.array([gene.low for gene in genes]), np.array([gene.high for gene in genes])
-    return ((values - low) / (high - low) * 2 - 1).astype(np.float32)
-
-
-def facing(
-    scene: Scene, n: int, *, candidates: int, looseness: float = 0.0, seed: int = 0
-) -> NDArray[np.float64]:
-    """Values (n, d) of genomes of the prior valued that look straight at surface points.
-
-    Their hands are a third into the stand-off, at any roll, and their weights zero.
-    """
-    random = np.random.default_rng(seed)
-    chosen = random.integers(len(scene.surface_points), size=n)
-    low, high = scene.gripper.standoff
-    distance = scene.gripper.palm_offset + low + (high - low) / 3
-    values = random.uniform(0.0, 1.0, (n, len(layout(scene, VALUED))))
-    values[:, 3:6] = scene.surface_points[chosen]
-    values[:, :3] = values[:, 3:6] + distance * scene.surface_normals[chosen]
-    values[:, 6] *= 2 * np.pi
-    values[:, LOOSENESS], values[:, CANDIDATES], values[:, RANKED_BY] = looseness, candidates, 0.0
-    return values
 
 
 def side_of(scene: Scene) -> NDArray[np.float64]:

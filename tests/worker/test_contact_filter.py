@@ -20,7 +20,7 @@ from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
-from qdgrasp_worker.object_geometry import ObjectSolid
+from qdgrasp_worker.pose_filters import ObjectSolid
 
 
 def pose_at(position, turn) -> HandPose:

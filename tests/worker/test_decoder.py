@@ -7,13 +7,12 @@ from scipy.spatial.transform import Rotation
 from tests.common import with_gripper
 from tests.worker.genomes import draw
 
-from qdgrasp_assets.genes import VALUED
+from qdgrasp_assets.geometry.object_surface import ObjectSurface
+from qdgrasp_assets.priors import PRIORS
 from qdgrasp_assets.scene import FreeJoint, Synergy
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import Decoder
-from qdgrasp_worker.object_geometry import ObjectSurface
-from qdgrasp_worker.priors import PRIORS
 
 CONES = ("approach", "contact")
 ROUNDING = 2e-7
@@ -31,20 +30,17 @@ def values_of(decoder, genomes):
 
 @pytest.mark.parametrize("prior", PRIORS)
 class TestEveryPrior:
-    """The contract of a prior, for genomes that stand for one pose each."""
+    """The contract of a prior: each genome stands for one pose."""
 
     @pytest.fixture
     def genomes(self, prior, cube):
         decoder = decoder_of(cube, prior)
         genomes = draw(3000, len(decoder.layout))
-        if prior == VALUED:
-            genomes[:, decoder.layout.names.index("candidates")] = -1.0
         return genomes[~decoder(genomes).dead_ends][:200]
 
     def test_gives_rounded_poses_and_postures_one_for_each_genome(self, prior, cube, genomes):
         grasps = decoder_of(cube, prior)(genomes)
         assert len(grasps) == len(genomes) == 200
-        np.testing.assert_array_equal(grasps.genome_of, np.arange(200))
         for name, width in {"positions": 3, "quaternions": 4, "joints": 2, "surface_points": 3}.items():
             column = getattr(grasps, name)
             assert column.dtype == np.float32

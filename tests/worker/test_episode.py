@@ -106,18 +106,17 @@ class TestEveryProtocolThatShakes:
 
     def test_a_hand_that_closes_on_nothing_missed(self, protocol):
         world = WrittenWorld(during(-1, -1))
-        assert run(world, protocol) == EpisodeResult(Outcome.MISSED, POSE.joints)
-        assert world.steps == CLOSING_STEPS
+        assert run(world, protocol) == EpisodeResult(Outcome.MISSED, POSE.joints, steps=CLOSING_STEPS)
 
     @pytest.mark.parametrize("step", [0, 1, 50, CLOSING_STEPS - 1])
     def test_a_finger_that_touches_at_any_step_of_closing_but_not_after_it_brushed(self, protocol, step):
         world = WrittenWorld(during(step, step, Contact(FINGER, 0.001)))
-        assert run(world, protocol) == EpisodeResult(Outcome.BRUSHED, POSE.joints)
+        assert run(world, protocol) == EpisodeResult(Outcome.BRUSHED, POSE.joints, steps=CLOSING_STEPS)
 
     def test_an_object_held_through_both_shakes_is_held(self, protocol):
         verdict = run(WrittenWorld(during(20, END, *GRIP)), protocol)
         settled = [*POSE.position, *POSE.quaternion]  # the sign is that of the commanded quaternion
-        expected = EpisodeResult(Outcome.HELD, [0.01, 0.02], 2, 0.003, 2, settled, contacts=[])
+        expected = EpisodeResult(Outcome.HELD, [0.01, 0.02], 2, 0.003, 2, settled, [], steps=END)
         assert verdict == expected
 
     def test_a_finger_link_counts_once_however_many_contacts_it_has(self, protocol):

@@ -17,8 +17,9 @@ from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_protocol.messages import deflated
 from qdgrasp_protocol.rows import CONTACT_VALUES, RESULT, Outcome, RowShape, unpack
 from qdgrasp_worker.episode import Episode
+from qdgrasp_worker.evaluation_protocols import CLOSING_STEPS, PAPER, TARGET_STEPS
 from qdgrasp_worker.evaluator import MAX_EVALUATORS, Evaluator, EvaluatorCache, spread_contacts
-from qdgrasp_worker.object_geometry import ObjectSolid
+from qdgrasp_worker.pose_filters import ObjectSolid
 from qdgrasp_worker.world import GraspContact
 
 N = 150
@@ -47,11 +48,20 @@ def test_the_rows_have_the_scenes_shape_and_pass_the_checks_of_the_bus(evaluator
     np.testing.assert_array_equal(rows["genome"], genomes)
 
 
-def test_fitness_counts_the_shakes_that_the_outcome_says_and_each_row_is_one_proposal(rows):
+def test_fitness_counts_the_shakes_that_the_outcome_says(rows):
     ladder = {Outcome.SHAKEN: 1.0, Outcome.HELD: 2.0}
     expected = [ladder.get(outcome, 0.0) for outcome in outcomes(rows)]
     np.testing.assert_array_equal(rows["fitness"], expected)
-    assert (rows["proposals"] == 1).all()
+
+
+def test_steps_are_those_of_closing_and_of_the_shakes_until_the_object_is_lost(rows):
+    steps = {outcome: set(rows["steps"][rows["outcome"] == outcome].tolist()) for outcome in Outcome}
+    assert steps[Outcome.OVERLAP] == {0}
+    assert steps[Outcome.MISSED] <= {0, CLOSING_STEPS}
+    assert steps[Outcome.BRUSHED] == {CLOSING_STEPS}
+    shakes = sum(len(shake.targets) for shake in PAPER.shakes) * TARGET_STEPS
+    assert steps[Outcome.HELD] == {CLOSING_STEPS + shakes}
+    assert all(CLOSING_STEPS < n < CLOSING_STEPS + shakes for n in steps[Outcome.DROPPED])
 
 
 def test_a_stored_pose_evaluated_as_given_finds_the_same(cube, rows):
@@ -76,6 +86,8 @@ def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice
     assert evaluation.failures == [(poison, "error: Not connected to physics server.")]
     assert not any(evaluation.rows[poison][column.name].any() for column in RESULT)
     others = np.arange(N) != poison
+    assert results(evaluation.rows[others], "steps") == results(rows[others], "steps")
+    others &= rows["steps"] > 0  # without shortcuts, hands that miss close as well
     assert results(evaluation.rows[others]) == results(rows[others])
 
 

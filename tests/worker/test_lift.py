@@ -62,7 +62,7 @@ def test_lifting_ends_early_only_where_it_would_end_so_anyway(scene, monkeypatch
     scene, genomes = lifting(scene.engine, mass=1.8), hands_above(40, seed=4)
     rows = evaluated(scene, GIVEN, genomes)
     monkeypatch.setattr("qdgrasp_worker.physical_episode.LiftEpisode._ends_early", never)
-    assert results(evaluated(scene, GIVEN, genomes)) == results(rows)
+    assert results(evaluated(scene, GIVEN, genomes), "steps") == results(rows, "steps")
 
 
 def test_it_needs_one_resting_pose():

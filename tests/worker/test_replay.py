@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from tests.worker.genomes import NEAR, draw
 
+from qdgrasp_assets.geometry.object_surface import ObjectSurface
 from qdgrasp_assets.geometry.resting_poses import resting_poses
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene
@@ -21,7 +22,6 @@ from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.evaluation_protocols import scene_protocol
 from qdgrasp_worker.evaluator import Evaluator
-from qdgrasp_worker.object_geometry import ObjectSurface
 from qdgrasp_worker.replay import replay_evaluation
 
 

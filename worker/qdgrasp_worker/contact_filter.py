@@ -45,7 +45,7 @@ from qdgrasp_assets.grippers.hand_geometry import (
 )
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.object_geometry import ObjectSolid
+from qdgrasp_worker.pose_filters import ObjectSolid
 
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]; larger for a hand that passes through more than `MAX_VOXELS`
 MAX_VOXELS = 1 << 22

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.genes import layout
+from qdgrasp_assets.geometry.object_surface import ObjectSurface
 from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.priors import PRIORS
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.rows import NO_SYNERGY
-from qdgrasp_worker.object_geometry import ObjectSurface
-from qdgrasp_worker.priors import PRIORS
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,7 @@ class HandPose:
 
 @dataclass(frozen=True)
 class DecodedGrasps:
-    """A batch of poses and postures, rounded to float32: exactly these are simulated and stored.
-
-    A genome has one of them, or several, of which one is chosen (`candidate_ranking`).
-    """
+    """A batch of poses and postures, rounded to float32: exactly these are simulated and stored."""
 
     positions: NDArray[np.float32]
     """(n, 3) [m], the hand's root link in the object's CoM frame."""
@@ -59,11 +56,6 @@ class DecodedGrasps:
     """(n,) [rad], from the normal at that point to the direction to the hand; 0 without a point."""
     dead_ends: NDArray[np.bool_]
     """(n,): True where there is no pose; its values are zeros."""
-    genome_of: NDArray[np.intp]
-    """(n,): the genome of the batch that each pose belongs to, ascending."""
-    weights: NDArray[np.float64]
-    """(genomes, f): numbers by which a genome's candidates are ranked; f is 0 without a choice."""
-    prior: str
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -103,10 +95,9 @@ class Decoder:
         self._own = len(self.layout) - len(self._free) - bool(self._hand.synergies)
 
     def __call__(self, genomes: NDArray[np.float32]) -> DecodedGrasps:
-        """Decode genomes (n, d) to their candidate grasps; NaN where a genome stands for no pose."""
+        """Decode genomes (n, d) to a grasp each; NaN where a genome stands for no pose."""
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            drawn = self._prior.candidates(self._prior.values(self.layout, genomes), genomes, self._surface)
-            values = drawn.genes
+            values = self._prior.values(self.layout, genomes)
             poses = self._prior.poses(values[:, : self._own], self._surface, self._hand)
         return DecodedGrasps(
             positions=poses.positions.astype(np.float32),
@@ -116,9 +107,6 @@ class Decoder:
             surface_points=poses.surface_points.astype(np.float32),
             nu=poses.nu.astype(np.float32),
             dead_ends=poses.dead_ends,
-            genome_of=drawn.rows,
-            weights=drawn.weights,
-            prior=self._prior.name,
         )
 
     def _synergies(self, values: Floats) -> NDArray[np.int64]:

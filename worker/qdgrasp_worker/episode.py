@@ -39,6 +39,8 @@ class EpisodeResult(NamedTuple):
     """The hand's base link in the object's frame after closing: x y z [m], qx qy qz qw; else zeros."""
     contacts: Sequence[GraspContact] = ()
     """The contacts after closing."""
+    steps: int = 0
+    """Number of steps of physics that were simulated."""
 
 
 def outcome_of(survived: int, disturbances: int) -> Outcome:
@@ -101,7 +103,12 @@ class Episode(ABC, Generic[AnyWorld]):
 
     def grasp(self, pose: HandPose) -> EpisodeResult:
         """Close the hand, which was placed at `pose`, and disturb the grasp."""
-        touched = self._close(pose)
+        before = self.world.steps
+        found = self._disturbed(pose, touched=self._close(pose))
+        return found._replace(steps=self.world.steps - before)
+
+    def _disturbed(self, pose: HandPose, *, touched: bool) -> EpisodeResult:
+        """Disturb the grasp of the closed hand, if its fingers touch the object."""
         fingers = self._touching_fingers()
         if not fingers:
             return EpisodeResult(Outcome.BRUSHED if touched else Outcome.MISSED, pose.joints)

@@ -11,39 +11,29 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import descriptors, layout
+from qdgrasp_assets.genes import layout
+from qdgrasp_assets.geometry.object_surface import ObjectSurface
 from qdgrasp_assets.geometry.rotation import dot
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import DEVICE_ENGINE, Device, engine_names
-from qdgrasp_worker.candidate_ranking import CandidateScreen, Shortlist
 from qdgrasp_worker.contact_filter import ContactFilter
-from qdgrasp_worker.decoder import DecodedGrasps, Decoder
+from qdgrasp_worker.decoder import DecodedGrasps, Decoder, HandPose
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult, ShakenEpisode, outcome_of
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol, TrialSetup, scene_protocol
-from qdgrasp_worker.object_geometry import ObjectSolid, ObjectSurface
 from qdgrasp_worker.physical_episode import LiftEpisode, PhysicalEpisode, PhysicalWorld
+from qdgrasp_worker.pose_filters import ObjectSolid, PoseFilters
 from qdgrasp_worker.world import GraspContact, ShakenWorld
 
 DEVICE_MODULE = "qdgrasp_worker.engines.warp_worlds"
 REASON_LENGTH = 200
-
-
-class GenomeResult(NamedTuple):
-    """Result of a genome."""
-
-    pose_index: int
-    """Index of its pose in the batch of grasps."""
-    verdict: EpisodeResult
-    proposals: int
-    """Number of poses that were screened for it."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +74,7 @@ class BatchEvaluator(ABC):
     def shape(self, prior: str) -> RowShape:
         """The widths of the rows of this scene with genomes of `prior`."""
         genes, joints = len(layout(self.scene, prior)), len(self.scene.gripper.joints)
-        return RowShape(genes, joints, descriptors(prior), self.scene.contact_slots)
+        return RowShape(genes, joints, self.scene.contact_slots)
 
     def _decoder(self, prior: str) -> Decoder:
         if prior not in self._decoders:
@@ -108,8 +98,8 @@ class Evaluator(BatchEvaluator):
         self._shortcuts = shortcuts
         self._object = ObjectSolid(scene)
         follows = self._protocol.free_joints_first
-        self._candidate_screen = CandidateScreen(
-            scene, self._object, self._closing, follows_free_joints=follows, filters=shortcuts
+        self._pose_filters = PoseFilters(
+            scene, self._object, follows_free_joints=follows, shortcuts=shortcuts
         )
 
     @cached_property
@@ -153,61 +143,37 @@ class Evaluator(BatchEvaluator):
         grasps = self._decoder(prior)(genomes)
         rows = self.shape(prior).empty(len(genomes))
         rows["genome"], rows["trial"] = genomes, trials
-        refused = row_refusals(genomes, trials, grasps, self._protocol.trials)
-        wanted = np.array([not reason for reason in refused], dtype=bool)
-        shortlists, features = self._candidate_screen(grasps, trials, wanted)
-        found = self._find_all(grasps, shortlists, trials.tolist(), np.flatnonzero(wanted).tolist())
-        findings = {i: finding for i, finding in found.items() if isinstance(finding, GenomeResult)}
-        fill_rows(rows, grasps, features, findings)
-        reasons = {i: reason for i, reason in enumerate(refused) if reason} | {
-            i: finding for i, finding in found.items() if isinstance(finding, str)
-        }
+        reasons = dict(row_refusals(genomes, trials, grasps, self._protocol.trials))
+        wanted = np.isin(np.arange(len(genomes)), [*reasons], invert=True)
+        known = self._pose_filters(grasps, trials, wanted)
+        verdicts = {i: EpisodeResult(outcome, grasps[i].joints) for i, outcome in known.items()}
+        poses = {i: grasps[i] for i in np.flatnonzero(wanted).tolist() if i not in known}
+        for i, found in self._simulate({i: (pose, int(trials[i])) for i, pose in poses.items()}).items():
+            if isinstance(found, str):
+                reasons[i] = found
+            else:
+                verdicts[i] = found
+        fill_rows(rows, grasps, verdicts)
         return Evaluation(rows, [(i, reasons[i][:REASON_LENGTH]) for i in sorted(reasons)])
 
-    def _find_all(
-        self, grasps: DecodedGrasps, shortlists: list[Shortlist], trials: list[int], rows: list[int]
-    ) -> dict[int, GenomeResult | str]:
-        """Return the results of these rows of a batch, or the reasons of failures."""
-        return {row: self._find(grasps, shortlists[row], trials[row]) for row in rows}
+    def _simulate(self, poses: dict[int, tuple[HandPose, int]]) -> dict[int, EpisodeResult | str]:
+        """Return the results of poses in their trials, or the reasons of failures."""
+        return {row: self._simulate_one(*pose) for row, pose in poses.items()}
 
-    def _find(self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int) -> GenomeResult | str:
-        """Return the result of a genome, or the reason of a failure, after which its worlds are new."""
+    def _simulate_one(self, pose: HandPose, trial: int) -> EpisodeResult | str:
+        """Return the result of a pose, or the reason of a failure, after which the worlds are new."""
         try:
-            place, found = self._choose(grasps, shortlist, trial)
-            verdict = found if isinstance(found, EpisodeResult) else self._episode.grasp(found.pose)
-            if len(self._worlds) > 1:
-                setup = self._protocol.trial(grasps[place], trial)
-                verdict = verdict_in_all(verdict, self._worlds[1:], self._protocol, setup)
+            setup = self._protocol.trial(pose, trial)
+            return verdict_in_all(self._episode.run(setup), self._worlds[1:], self._protocol, setup)
         except Exception as error:  # noqa: BLE001  # any failure is this row's result and no other's
             self.close()
             self._worlds = self._make_worlds()
             return f"{type(error).__name__}: {error}"
-        return GenomeResult(place, verdict, max(1, shortlist.poses))
 
     @property
     def _episode(self) -> ShakenEpisode | PhysicalEpisode:
         """Episodes in the first engine."""
         return make_episode(self._worlds[0], self._protocol, self._contact_filter)
-
-    def _choose(
-        self, grasps: DecodedGrasps, shortlist: Shortlist, trial: int
-    ) -> tuple[int, TrialSetup | EpisodeResult]:
-        """Place candidates until one does not overlap; return its pose, and how it is placed.
-
-        It is chosen by trial 0 in the first engine, so that all trials of a genome disturb the same pose.
-        Its result is returned instead if it needs no closing.
-        """
-        if not shortlist.poses:
-            return shortlist.first, EpisodeResult(Outcome.DEAD_END, grasps[shortlist.first].joints)
-        episode = self._episode
-        for place in shortlist.ranked:
-            pose = grasps[place]
-            if trial and shortlist.poses > 1 and episode.is_blocked(self._protocol.trial(pose, 0)):
-                continue
-            found = episode.place(self._protocol.trial(pose, trial))
-            if trial or isinstance(found, TrialSetup) or found.outcome is not Outcome.OVERLAP:
-                return place, found
-        return shortlist.first, EpisodeResult(shortlist.fallback, grasps[shortlist.first].joints)
 
 
 def verdict_in_all(
@@ -219,13 +185,15 @@ def verdict_in_all(
     """The result of a trial in all engines, given that of the first one.
 
     A grasp that holds is tried in the next world; outcome and fitness are those of its last world, where an
-    overlap or a miss counts as no disturbance survived. All other values are those of the first engine.
+    overlap or a miss counts as no disturbance survived. The steps are those of all engines, all other values
+    those of the first one.
     """
     for world in others:
         if verdict.outcome is Outcome.HELD:
             episode = make_episode(world, protocol)
-            survived = episode.run(trial).fitness
-            verdict = verdict._replace(outcome=outcome_of(survived, episode.disturbances), fitness=survived)
+            found = episode.run(trial)
+            outcome, steps = outcome_of(found.fitness, episode.disturbances), verdict.steps + found.steps
+            verdict = verdict._replace(outcome=outcome, fitness=found.fitness, steps=steps)
     return verdict
 
 
@@ -244,39 +212,30 @@ def make_episode(
 
 def row_refusals(
     genomes: NDArray[np.float32], trials: NDArray[np.uint16], grasps: DecodedGrasps, last: int
-) -> list[str]:
-    """The reason why each row cannot be evaluated, empty where it can; `last` is the last trial."""
-    finite = np.asarray(np.isfinite(genomes).all(axis=1))
-    np.logical_and.at(finite, grasps.genome_of, grasps.are_finite)
-    reasons = {
-        "the genome stands for no pose: it holds, or leads to, numbers that are not finite": ~finite,
-        f"this evaluation protocol has no trial {f'above {last}' if last else 'but 0'}": trials > last,
-    }
-    return [next((reason for reason, holds in reasons.items() if holds[i]), "") for i in range(len(trials))]
+) -> list[tuple[int, str]]:
+    """The rows that cannot be evaluated, by place, with the reason; `last` is the last trial."""
+    beyond = f"this evaluation protocol has no trial {f'above {last}' if last else 'but 0'}"
+    senseless = "the genome stands for no pose: it holds, or leads to, numbers that are not finite"
+    is_finite = np.isfinite(genomes).all(axis=1) & grasps.are_finite
+    (places,) = np.nonzero(~is_finite | (trials > last))
+    return [(i, beyond if is_finite[i] else senseless) for i in places.tolist()]
 
 
-def fill_rows(
-    rows: Rows, grasps: DecodedGrasps, features: NDArray[np.float32], findings: dict[int, GenomeResult]
-) -> None:
-    """Write the result columns of the rows that have a result, by their place in the batch.
-
-    The `features` (poses, f) of a pose follow its position in the descriptor, where it was simulated.
-    """
-    if not findings:
+def fill_rows(rows: Rows, grasps: DecodedGrasps, verdicts: dict[int, EpisodeResult]) -> None:
+    """Write the result columns of the rows that have a result, by their place in the batch."""
+    if not verdicts:
         return
-    places, found = list(findings), [finding.verdict for finding in findings.values()]
-    taken = [finding.pose_index for finding in findings.values()]
-    is_simulated = np.array([[verdict.outcome.is_simulated] for verdict in found])
-    positions = grasps.positions[taken]
+    places, found = list(verdicts), list(verdicts.values())
+    positions = grasps.positions[places]
     columns = {
         "outcome": [verdict.outcome for verdict in found],
         "fitness": [verdict.fitness for verdict in found],
-        "proposals": [finding.proposals for finding in findings.values()],
-        "descriptor": np.concatenate([positions, np.where(is_simulated, features[taken], 0.0)], axis=1),
-        "base_to_object": np.concatenate([positions, grasps.quaternions[taken]], axis=1),
+        "steps": [verdict.steps for verdict in found],
+        "descriptor": positions,
+        "base_to_object": np.concatenate([positions, grasps.quaternions[places]], axis=1),
         "joints": [verdict.joints for verdict in found],
-        "surface_point": grasps.surface_points[taken],
-        "nu": grasps.nu[taken],
+        "surface_point": grasps.surface_points[places],
+        "nu": grasps.nu[places],
         "contacts": [verdict.finger_links for verdict in found],
         "penetration": [verdict.penetration for verdict in found],
     }

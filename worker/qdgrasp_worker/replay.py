@@ -14,6 +14,7 @@ import numpy as np
 import typer
 from msgspec import structs
 
+from qdgrasp_assets.geometry.object_surface import ObjectSurface
 from qdgrasp_assets.geometry.rotation import conjugate, multiply, rotate
 from qdgrasp_assets.scene import Scene, SceneGripper, unpack_scene
 from qdgrasp_protocol.cli_support import run_command
@@ -31,13 +32,12 @@ from qdgrasp_protocol.replay_messages import (
 )
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_protocol.spec import engine_names
-from qdgrasp_worker.candidate_ranking import TableFilter
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import Shake, TrialSetup, scene_protocol
 from qdgrasp_worker.evaluator import contact_columns, make_episode, verdict_in_all
-from qdgrasp_worker.object_geometry import ObjectSurface
+from qdgrasp_worker.pose_filters import TableFilter
 from qdgrasp_worker.world import GraspWorld
 
 STEPS_PER_SECOND = 240  # Time is counted in steps of 1/240 s, in any engine

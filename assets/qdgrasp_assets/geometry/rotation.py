@@ -60,17 +60,6 @@ def turned(first: Floats, second: Floats, angles: Floats) -> tuple[Floats, Float
     return cosine * first + sine * second, cosine * second - sine * first
 
 
-def rolls(asides: Floats, directions: Floats) -> Floats:
-    """Return the roll (n,) [rad], in [0, 2 pi), of hands that look along `directions` (n, 3).
-
-    `asides` (n, 3) are the directions of each hand's zero of the roll, the first tangent of its approach
-    axis; they need not be at right angles to `directions`.
-    """
-    first, second = tangents(directions)
-    angles: Floats = np.arctan2(dot(asides, second), dot(asides, first)) % (2 * np.pi)
-    return angles
-
-
 def multiply(a: Floats, b: Floats) -> Floats:
     """Return the rotations (n, 4) that turn by `b` first and then by `a`."""
     ax, ay, az, aw = (a[..., i] for i in range(4))

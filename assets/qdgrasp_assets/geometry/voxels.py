@@ -60,13 +60,6 @@ class Hull:
         placed = self.corners @ rotation.T + shift
         return Hull(planes, corners.min(axis=0), corners.max(axis=0), triangles, placed)
 
-    def contains(self, points: Floats) -> NDArray[np.bool_]:
-        """(n,): True for the points (n, 3) [m] that are inside."""
-        inside: NDArray[np.bool_] = np.all((points >= self.low) & (points <= self.high), axis=1)
-        heights = points[inside] @ self.normals.T + self.planes[:, 3]
-        inside[inside] = np.all(heights <= 0.0, axis=1)
-        return inside
-
 
 def convex_hulls(parts: Iterable[Floats]) -> list[Hull]:
     """The hulls of the corners (v, 3) [m] of each part; flat ones hold nothing and are left out."""

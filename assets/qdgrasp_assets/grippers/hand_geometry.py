@@ -4,7 +4,7 @@ All of it depends on the hand alone, and the evaluation's filters, the pictures 
 from it: convex parts are what the simulator makes of collision shapes, shapes are the triangles drawn.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, lru_cache
 
 import msgspec
@@ -120,17 +120,6 @@ class HandGeometry:
         for shape in self.shapes:
             frame = frames[shape.link]
             yield shape, shape.vertices @ frame[:3, :3].T + frame[:3, 3]
-
-    def box(self, links: Iterable[str], frames: dict[str, Floats]) -> tuple[Floats, Floats]:
-        """The corners (3,) of the box around `links` in all of the `frames` [m]."""
-        corners = [
-            np.einsum("nij,kj->nki", frames[link][:, :3, :3], hull.triangles.reshape(-1, 3))
-            + frames[link][:, None, :3, 3]
-            for link in links
-            for hull in self.hulls[link]
-        ]
-        points = np.concatenate([each.reshape(-1, 3) for each in [*corners, np.zeros((1, 3))]])
-        return points.min(axis=0), points.max(axis=0)
 
 
 def free_posture(gripper: SceneGripper, share: float) -> list[float]:

@@ -58,26 +58,10 @@ def orientations(quaternions: ArrayLike) -> NDArray[np.int64]:
 
     Written out in products and sums of float64, so that it is the same on every machine.
     """
-    nearest: NDArray[np.int64] = _nearness(quaternions).argmax(axis=1)
-    return nearest
-
-
-def clear_orientations(quaternions: ArrayLike) -> tuple[NDArray[np.int64], Floats]:
-    """Return the bin (n,) of each rotation (n, 4), and its clearance from the bin's border.
-
-    The clearance is 1 in the middle and 0 on the border: the lead over the next bin in nearness, which is the
-    cosine of half the angle.
-    """
-    nearness = _nearness(quaternions)
-    second, first = np.partition(nearness, -2, axis=1)[:, -2:].T
-    return nearness.argmax(axis=1), (first - second) / (1.0 - GOLDEN / 2.0)
-
-
-def _nearness(quaternions: ArrayLike) -> Floats:
     x, y, z, w = np.asarray(quaternions, dtype=np.float64).T[..., None]
     a, b, c, d = MIDDLES.T
-    nearness: Floats = np.abs(x * a + y * b + z * c + w * d)
-    return nearness
+    nearest: NDArray[np.int64] = np.abs(x * a + y * b + z * c + w * d).argmax(axis=1)
+    return nearest
 
 
 def _icosahedral() -> Floats:

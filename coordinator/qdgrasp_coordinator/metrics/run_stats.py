@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.arrays import take_rows
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
+from qdgrasp_coordinator.metrics.contact_niches import contact_niches
 from qdgrasp_coordinator.metrics.stop_criteria import StopTracker, count_to_first
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows
@@ -30,7 +31,7 @@ class CurvePoint(Struct, frozen=True, array_like=True):
     """The counts of a run at the end of one of its generations; a list of five numbers in JSON."""
 
     evaluations: Annotated[int, "Counted evaluations."]
-    proposals: Annotated[int, "Poses that decoding screened, simulated or not."]
+    steps: Annotated[int, "Simulated steps of physics."]
     successes: Annotated[int, "A finger touches the object after closing."]
     cells: Annotated[int, "Distinct 1 cm cells with a success."]
     robust: Annotated[int, "Successes that survived every disturbance."]
@@ -42,7 +43,7 @@ class GrowthCurve(Struct, frozen=True, kw_only=True):
     run: Annotated[str, "Its name in its job."]
     points: Annotated[
         list[CurvePoint],
-        "At most 512, at evenly spaced generations: evaluations, proposals, successes, cells, robust.",
+        "At most 512, at evenly spaced generations: evaluations, steps, successes, cells, robust.",
     ]
 
 
@@ -72,28 +73,30 @@ class RunTotals(Struct, frozen=True, kw_only=True):
 
     evaluations: Annotated[int, "Counted evaluations."]
     simulated: Annotated[int, "Genomes whose hand closed."]
-    proposals: Annotated[int, "Poses that decoding screened, simulated or not."]
-    overlaps: Annotated[
-        int, "Genomes whose open hand overlapped the object; where a genome has candidates, all of them."
-    ]
-    dead_ends: Annotated[int, "Genomes for which there was no pose, or none worth a simulation."]
+    steps: Annotated[int, "Simulated steps of physics."]
+    overlaps: Annotated[int, "Genomes whose open hand overlapped the object."]
+    dead_ends: Annotated[int, "Genomes that stand for no pose."]
     successes: Annotated[int, "A finger touches the object after closing."]
     grasps: Annotated[int, "Successes that survived a disturbance: fitness 1 or more."]
     robust: Annotated[int, "Successes that survived every disturbance."]
     errors: Annotated[int, "Rows on which the simulator failed three times, trials included."]
     cells: Annotated[int, "Distinct 1 cm cells with a success; of a job their sum over its runs."]
+    contact_niches: Annotated[
+        int, "Distinct contact niches in which a grasp holds; of a job their sum over its runs."
+    ]
     trials: Annotated[int, "Rows that are trials of successes; 0 where no protocol has them."]
 
     @property
     def found(self) -> str:
-        """Number of successes and of cells, in words."""
-        return f"{counted(self.successes, 'success', 'successes')} in {counted(self.cells, 'cell')}"
+        """Number of successes, of cells and of contact niches, in words."""
+        found = f"{counted(self.successes, 'success', 'successes')} in {counted(self.cells, 'cell')}"
+        return f"{found}, {counted(self.contact_niches, 'contact niche')}"
 
     @property
     def screened(self) -> str:
-        """The other count beside evaluations, in words: the number of screened poses."""
+        """The other counts beside evaluations, in words."""
         return (
-            f"{self.simulated} simulated of {counted(self.proposals, 'proposal')}, "
+            f"{self.simulated} simulated in {counted(self.steps, 'step')}, "
             f"{counted(self.overlaps, 'overlap')}, {counted(self.dead_ends, 'dead end')}"
         )
 
@@ -137,7 +140,7 @@ class RunCounter:
 
     rows: int = 0
     evaluations: int = 0  # Counted ones, which the budget limits
-    proposals: int = 0
+    steps: int = 0  # Of nominal rows
     trials: int = 0
     errors: int = 0
 
@@ -151,6 +154,7 @@ class RunCounter:
         self._trials_follow = False
         self._outcomes = [0] * len(Outcome)
         self._cells: set[int] = set()
+        self._contact_niches: set[int] = set()
         self._tracker = StopTracker(spec)
         self._curve = CurveRecorder()
         self.finished = self._ending()
@@ -193,9 +197,11 @@ class RunCounter:
         outcomes = np.bincount(rows["outcome"], minlength=len(Outcome)).tolist()
         self._outcomes = [sum(pair) for pair in zip(self._outcomes, outcomes, strict=True)]
         self.evaluations += len(rows) if self.spec.overlaps == "count" else sum(outcomes[Outcome.MISSED :])
-        self.proposals += int(rows["proposals"].sum(dtype=np.int64))
+        self.steps += int(rows["steps"].sum(dtype=np.int64))
         found = rows["outcome"] >= Outcome.DROPPED
         self._cells.update(cell_keys(cells(rows["descriptor"][found, :3])).tolist())
+        touches = contact_niches(take_rows(rows, rows["outcome"] == Outcome.HELD))
+        self._contact_niches.update(touches[touches > 0].tolist())
         if len(rows):
             self._last = rows[-1]
 
@@ -220,7 +226,7 @@ class RunCounter:
         return RunTotals(
             evaluations=self.evaluations,
             simulated=reached[Outcome.MISSED],
-            proposals=self.proposals,
+            steps=self.steps,
             overlaps=self._outcomes[Outcome.OVERLAP],
             dead_ends=self._outcomes[Outcome.DEAD_END],
             successes=reached[Outcome.DROPPED],
@@ -228,6 +234,7 @@ class RunCounter:
             robust=reached[Outcome.HELD],
             errors=self.errors,
             cells=len(self._cells),
+            contact_niches=len(self._contact_niches),
             trials=self.trials,
         )
 

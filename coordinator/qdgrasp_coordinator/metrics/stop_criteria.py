@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells, orientations
+from qdgrasp_coordinator.metrics.contact_niches import contact_niches
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_protocol.spec import DiversityName, RunSpec
 
 Flags = NDArray[np.bool_]
 """(n,): one for each row."""
@@ -31,7 +32,7 @@ class StopTracker:
         self._least_grasps, self._saturation = spec.grasps, spec.saturation or None
         self._grasps = 0
         self._last = Outcome.ERROR  # of the last row
-        self._rate = NicheRate(by_orientation=spec.diversity in ("orientation", "posture"))
+        self._rate = NicheRate(spec.diversity)
 
     def count(self, rows: Rows) -> None:
         """Count the next nominal rows (n,)."""
@@ -80,14 +81,14 @@ class NicheRate:
     beginning. The last `WINDOW` evaluations are taken to have found one niche more: of few, chance decides.
     """
 
-    def __init__(self, *, by_orientation: bool) -> None:
+    def __init__(self, by: DiversityName | None) -> None:
         self.share = math.inf
         """Share at the last row; infinite while the run is shorter than the window."""
         self.least = math.inf
         """Least share before the last row."""
         self.window = WINDOW
-        self._by_orientation = by_orientation
-        self._niches: set[tuple[int, int]] = set()  # Cell and orientation bin of each; 0 without these
+        self._by = by
+        self._niches: set[tuple[int, int]] = set()  # Cell and orientation bin of each, 0 without these
         self._simulated = 0
         self._history = np.zeros(1, np.int64)  # Niches after each of the last simulated evaluations
 
@@ -122,9 +123,12 @@ class NicheRate:
     def _first_of_niche(self, rows: Rows) -> dict[tuple[int, int], int]:
         """Return the first row of each niche that is new with a grasp in it."""
         places = np.flatnonzero(rows["outcome"] >= Outcome.SHAKEN)
-        found = cell_keys(cells(rows["descriptor"][places, :3])).tolist()
+        is_contact = self._by == "contact"
+        found = (
+            contact_niches(rows[places]) if is_contact else cell_keys(cells(rows["descriptor"][places, :3]))
+        ).tolist()
         kinds = [0] * len(found)
-        if self._by_orientation:
+        if self._by == "orientation":
             kinds = orientations(rows["base_to_object"][places, 3:]).tolist()
         first: dict[tuple[int, int], int] = {}
         for place, niche in zip(places.tolist(), zip(found, kinds, strict=True), strict=True):

@@ -99,5 +99,5 @@ def activity(figures: JobStatus, work: WorkersAtWork, *, has_begun: bool) -> str
         return f"{counted(loading, 'worker')} loading the scene"
     if not rows:
         return "handing out poses"
-    poses = f"{done} of {counted(rows, 'pose')} evaluated" if done else "candidates are screened"
+    poses = f"{done} of {counted(rows, 'pose')} evaluated"
     return poses if has_begun else f"first poses: {poses}"

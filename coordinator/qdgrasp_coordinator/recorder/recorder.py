@@ -147,7 +147,7 @@ class Recorder(ExitStack):
         """Return recorded rows of a run as a message; a run that was never opened is refused."""
         writer = self._writer(asked.run)
         shape = writer.identity.shape
-        widest = max(shape.genes, shape.joints, shape.descriptors, shape.contact_values, 7)
+        widest = max(shape.genes, shape.joints, shape.contact_values, 7)
         limit = min(asked.limit, MOST_PAGE_ITEMS // widest)
         return slice_to_message(writer.journal.slice(asked.first, limit), asked.run, self.epoch, shape)
 

@@ -13,7 +13,7 @@ from msgspec import structs
 
 from qdgrasp_assets.asset_paths import named_path, path_problem
 from qdgrasp_assets.catalog import assemble_scene, build_scene
-from qdgrasp_assets.genes import descriptors, layout
+from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.object_shape import ObjectShape
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
@@ -21,7 +21,7 @@ from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTota
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, search_space
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch, check_spec_poses
-from qdgrasp_coordinator.search.registry import check_spec, learns_value, method, prior_of
+from qdgrasp_coordinator.search.registry import check_spec, method, prior_of
 from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
@@ -295,8 +295,7 @@ def complete_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         name: getattr(chosen, name) for name in ("aim_for", "overlaps", "population", "generations_in_flight")
     }
     spec = run_spec(usual | values, where)
-    may_grow = spec.overlaps == "redraw" and learns_value(spec)
-    if may_grow and values.keys().isdisjoint(FLIGHT_KEYS):
+    if spec.overlaps == "redraw" and values.keys().isdisjoint(FLIGHT_KEYS):
         spec = structs.replace(spec, in_flight=chosen.in_flight)
     check_spec(spec)
     return spec
@@ -354,4 +353,4 @@ def plan_genomes(
 def row_shape(scene: Scene, prior: str) -> RowShape:
     """Return the shape of a scene's rows."""
     joints = len(scene.gripper.joints)
-    return RowShape(len(layout(scene, prior)), joints, descriptors(prior), scene.contact_slots)
+    return RowShape(len(layout(scene, prior)), joints, scene.contact_slots)

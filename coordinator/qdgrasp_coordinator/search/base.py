@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qdgrasp_assets.genes import archive_box, layout
-from qdgrasp_assets.scene import Scene, SceneObject, Vector
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Genomes, Layout, Rows
 
 PositionBox: TypeAlias = tuple[ArrayLike, ArrayLike]
@@ -38,12 +38,8 @@ class SearchSpace:
     """The genes of its genomes."""
     box: PositionBox
     """The box of hand positions that are kept."""
-    approach_axis: Vector = (0.0, 0.0, 1.0)
-    """Unit vector in the hand's base frame that points from the palm to the object."""
-    distances: tuple[float, float] = (0.0, 0.1)
-    """Least and greatest distance from the hand's base to the surface point that it looks at [m]."""
-    body: SceneObject | None = None
-    """The object, for measures of the loads that a grasp bears."""
+    scene: Scene
+    """The scene, for searches that know what a pose is."""
 
     @property
     def genes(self) -> int:
@@ -56,10 +52,7 @@ def search_space(scene: Scene, prior: str) -> SearchSpace:
 
     Raises `JawNeeded` where the prior is for two-finger hands, and this hand has another number of them.
     """
-    hand = scene.gripper
-    distances = (hand.palm_offset + hand.standoff[0], hand.reach)
-    box = archive_box(scene, prior)
-    return SearchSpace(layout(scene, prior), box, hand.approach_axis, distances, scene.object)
+    return SearchSpace(layout(scene, prior), archive_box(scene, prior), scene)
 
 
 class SearchAlgorithm(Protocol):

@@ -94,14 +94,50 @@ class EliteArchive:
 
     def insert(self, rows: Rows) -> None:
         """Offer rows, elder ones first; overlaps, dead ends and errors are ignored."""
-        valid = take_rows(rows, rows["outcome"] >= Outcome.MISSED)
-        where = cells(valid["descriptor"][:, :3])
-        inside = self._box.contains(where)
-        offered = take_rows(valid, inside)
+        offered = _offered(rows, self._box)
         if len(offered):
-            is_success = offered["outcome"] >= Outcome.DROPPED
-            objectives = np.where(is_success, offered["fitness"], np.float32(FAILED))
-            self._grid.add(offered["genome"], objectives, where[inside])
+            self._grid.add(offered["genome"], _objectives(offered), cells(offered["descriptor"][:, :3]))
+
+
+def _offered(rows: Rows, box: CellBox) -> Rows:
+    """The rows of valid poses in the box."""
+    valid = take_rows(rows, rows["outcome"] >= Outcome.MISSED)
+    return take_rows(valid, box.contains(cells(valid["descriptor"][:, :3])))
+
+
+def _objectives(rows: Rows) -> NDArray[np.float32]:
+    return np.where(rows["outcome"] >= Outcome.DROPPED, rows["fitness"], np.float32(FAILED))
+
+
+DNS_CAPACITY, DNS_NEIGHBOURS = 1000, 3
+
+
+class DominatedArchive:
+    """Elites far from fitter ones: dominated novelty search (Bahlous-Boldi et al. 2025)."""
+
+    def __init__(self, genes: int, box: PositionBox) -> None:
+        from ribs.archives import DNSArchive
+
+        self._box = CellBox(box)
+        self._kept = DNSArchive(
+            solution_dim=genes,
+            measure_dim=3,
+            capacity=DNS_CAPACITY,
+            k_neighbors=DNS_NEIGHBOURS,
+            dtype=np.float32,
+        )
+
+    @property
+    def elites(self) -> ArchiveElites:
+        """All elites, in the order of the archive."""
+        held = self._kept.data(["solution", "objective"])
+        return ArchiveElites(held["solution"], held["objective"] > FAILED)
+
+    def insert(self, rows: Rows) -> None:
+        """Offer rows; overlaps, dead ends and errors are ignored."""
+        offered = _offered(rows, self._box)
+        if len(offered):
+            self._kept.add(offered["genome"], _objectives(offered), offered["descriptor"][:, :3])
 
 
 def ribs_archive(box: PositionBox, rows: Rows, objectives: NDArray[np.float64]) -> "GridArchive":
@@ -147,8 +183,15 @@ Select = Callable[[ArchiveElites, int, np.random.Generator], Picks]
 class MapElites:
     """Mutates parents from the archive; uniform genomes at first and while it is empty."""
 
-    def __init__(self, spec: RunSpec, genes: int, box: PositionBox, select: Select) -> None:
-        self.archive = EliteArchive(genes, box)
+    def __init__(
+        self,
+        spec: RunSpec,
+        genes: int,
+        box: PositionBox,
+        select: Select,
+        make_archive: Callable[[int, PositionBox], EliteArchive | DominatedArchive] = EliteArchive,
+    ) -> None:
+        self.archive = make_archive(genes, box)
         self._spec = spec
         self._genes = genes
         self._select = select

@@ -9,23 +9,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NoReturn
 
-from qdgrasp_assets import genes
 from qdgrasp_coordinator.search import fixed_poses
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace
-from qdgrasp_coordinator.search.niche_search import NicheSearch
 from qdgrasp_coordinator.search.paper_searches import (
     CMA_POPULATION,
     CmaMae,
+    DominatedArchive,
     MapElites,
     RandomSearch,
     check_cma,
     select_successes,
     select_uniform,
 )
-from qdgrasp_coordinator.search.success_model import check_first_weights
-from qdgrasp_coordinator.search.value_search import ValueSearch
+from qdgrasp_coordinator.search.portfolio import CellSampling, Portfolio
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
-from qdgrasp_protocol.rows import GIVEN, trial_count
+from qdgrasp_protocol.rows import GIVEN
 from qdgrasp_protocol.spec import OWN_SEARCH, AimFor, Overlaps, RunSpec
 
 BuildSearch = Callable[[RunSpec, SearchSpace], SearchAlgorithm]
@@ -50,7 +48,7 @@ class Method:
     generations_in_flight: int = 1
     """Generations asked before the first is told unless the spec says otherwise."""
     in_flight: int | None = None
-    """Most genomes in flight of searches for value by position that redraw, unless the spec says how many."""
+    """Most genomes in flight of a search that redraws overlaps, unless the spec says how many."""
     aim_for: AimFor | None = None
     """Objective unless the spec says otherwise; None: the method has none."""
 
@@ -61,7 +59,7 @@ PRIORS = {
     "approach": ("approach_", "at most 45 deg from the surface's normal"),
     "antipodal": ("antipodal_", "two fingers on opposite points"),
     "spherical": ("", "without a prior"),
-    genes.VALUED: ("", "into a cell"),
+    GIVEN: ("", "the pose itself"),
 }
 
 
@@ -79,32 +77,6 @@ def _family(
         Method(prefix + name, prior, build, check, "count", population, f"{words}, {by} (Huber et al. 2024).")
         for prior, prefix, by in known
     ]
-
-
-def learns_value(spec: RunSpec) -> bool:
-    """Return whether a spec's search has the models that `first_weights` are for."""
-    return method(spec.method) is AIMED and by_position(spec)
-
-
-def search_words(spec: RunSpec) -> str:
-    """Return the words for a spec's method and its objective."""
-    keys = ("method", "aim_for", "diversity")
-    return " with ".join(f"{key} '{value}'" for key in keys if (value := getattr(spec, key)))
-
-
-def by_position(spec: RunSpec) -> bool:
-    """Return whether a spec distinguishes grasps by their cell alone."""
-    return spec.diversity in (None, "position")
-
-
-def check_objective(spec: RunSpec) -> None:
-    """Check that the search can measure a grasp's quality and kind by its spec."""
-    if by_position(spec) and (spec.grasps_per_cell or 1) > 1:
-        raise ImpossibleValue(
-            "grasps_per_cell", spec.grasps_per_cell, "1 for diversity = 'position', which tells cells apart"
-        )
-    if spec.aim_for == "eta" and not trial_count(spec.protocol):
-        raise ImpossibleValue("protocol", spec.protocol, "'robust' for aim_for = 'eta', which trials measure")
 
 
 PAPER = [
@@ -125,6 +97,12 @@ PAPER = [
         "MAP-Elites, successful elites first",
     ),
     *_family(
+        "me_dns",
+        lambda spec, space: MapElites(spec, space.genes, space.box, select_uniform, DominatedArchive),
+        "Dominated novelty search, 1000 elites",
+        priors=("approach", "antipodal"),
+    ),
+    *_family(
         "cma_mae",
         lambda spec, space: CmaMae(spec, space.genes, space.box),
         "CMA-MAE, 15 evolution strategies",
@@ -133,19 +111,29 @@ PAPER = [
     ),
 ]
 """The methods that Huber et al. 2024, section IV, compare; those without prefix: no prior."""
-AIMED = Method(
-    "aimed",
-    genes.VALUED,
-    lambda spec, space: (ValueSearch if by_position(spec) else NicheSearch)(spec, space),
-    check_objective,
+PORTFOLIO = Method(
+    "portfolio",
+    GIVEN,
+    Portfolio,
+    lambda _: None,
     "redraw",
     50,
-    "The default, this project's own: cells that may gain most, with a neighbour's grasp.",
+    "The default, this project's own: surface draws, turned grasps and neighbours, by what each earns.",
     generations_in_flight=2,
     in_flight=1200,
     aim_for="hold",
 )
-METHODS = {entry.name: entry for entry in (AIMED, *PAPER)}
+ANTIPODAL_CELLS = Method(
+    "antipodal_cells",
+    GIVEN,
+    CellSampling,
+    lambda _: None,
+    "redraw",
+    50,
+    "Two fingers on opposite points, each cell until a grasp holds there, two tries at most.",
+    aim_for="hold",
+)
+METHODS = {entry.name: entry for entry in (PORTFOLIO, ANTIPODAL_CELLS, *PAPER)}
 """The first one is the default, as `RunSpec` has it."""
 SCORING = Method(
     GIVEN,
@@ -195,19 +183,12 @@ def check_spec(spec: RunSpec) -> None:
     chosen = method(spec.method)
     if spec.aim_for is not None and chosen.aim_for is None:
         raise ImpossibleValue("aim_for", spec.aim_for, f"left out for method '{spec.method}', which has none")
-    for name in ("diversity", "grasps_per_cell") if chosen.aim_for is None else ():
-        if (value := getattr(spec, name)) is not None:
-            raise ImpossibleValue(
-                name, value, f"left out for method '{spec.method}', which looks for no kinds"
-            )
+    if spec.diversity is not None and chosen is not PORTFOLIO:
+        expected = f"left out for method '{spec.method}', which looks for no kinds"
+        raise ImpossibleValue("diversity", spec.diversity, expected)
     if spec.poses is not None and chosen is not SCORING:
         raise ImpossibleValue("poses", f"{len(spec.poses)} of them", f"left out for method '{spec.method}'")
-    if spec.first_weights is not None and not learns_value(spec):
-        raise ImpossibleValue(
-            "first_weights", "a table", f"left out for {search_words(spec)}, which has no such models"
-        )
     if spec.in_flight is not None and spec.in_flight < spec.population:
         expected = f"at least one generation, which are {spec.population} genomes"
         raise ImpossibleValue("in_flight", spec.in_flight, expected)
-    check_first_weights(spec)
     chosen.check(spec)

@@ -83,7 +83,7 @@ class JournalIdentity:
     def of(cls, asked: OpenRun) -> Self:
         """Return the run that a coordinator opens; an `InputError` says what is wrong with its spec."""
         spec = from_toml(asked.spec.decode(errors="replace"), "the coordinator's spec")
-        shape = RowShape(asked.genes, asked.joints, asked.descriptors, asked.contact_slots)
+        shape = RowShape(asked.genes, asked.joints, asked.contact_slots)
         return cls(asked.run, spec, asked.scene, shape)
 
 
@@ -186,7 +186,7 @@ def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) 
 
 def slice_from_message(message: Recordable, shape: RowShape) -> JournalSlice:
     """Return the slice in a message; raise `MessageError` for other rows or unknown failed rows."""
-    came = RowShape(message.genes, message.joints, message.descriptors, message.contact_slots)
+    came = RowShape(message.genes, message.joints, message.contact_slots)
     if came != shape:
         raise MessageError(f"expected rows of {shape}, got {came}")
     if any(failure.row >= message.n for failure in message.failures):

@@ -27,11 +27,10 @@ SPEC, SCENE, JOURNAL = "spec.toml", "scene.bundle", "run.sqlite"
 SOURCE, RANKING = "source.json", "ranking.csv"  # Of a run that scores the grasps of another one again
 FINISHED = "finished.jsonl"  # Of a campaign: the sums of its finished runs
 SKIPPED = "skipped.csv"  # Of a campaign that goes on without objects that cannot be used
-ORIGIN = "warm_start.json"  # Of a run that begins with weights that others learned
 MARKS = (JOB, CAMPAIGN, SCENE, JOURNAL)
 """Files that each mark the folder of a run or job, also where others are missing."""
 PARTS = frozenset(
-    [*MARKS, ENDPOINT, LOCK, SUPERVISED, LOGS, RUNS, SPEC, SOURCE, RANKING, ORIGIN, SKIPPED, FINISHED]
+    [*MARKS, ENDPOINT, LOCK, SUPERVISED, LOGS, RUNS, SPEC, SOURCE, RANKING, SKIPPED, FINISHED]
     + [JOURNAL + suffix for suffix in ("-wal", "-shm")]
 )
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}

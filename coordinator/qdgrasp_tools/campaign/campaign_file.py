@@ -58,7 +58,6 @@ SHORT_KEYS = {
     "overlaps": "",
     "aim_for": "",
     "diversity": "",
-    "grasps_per_cell": "grasps",
     "approach_distance": "approach",
     "resting_pose": "resting",
 }
@@ -323,10 +322,8 @@ def _may_grow(values: Mapping[str, Any], cross: Mapping[str, Any]) -> bool:
 
     A crossing that says how many are in flight has its own.
     """
-    is_by_position = values.get("diversity") in (None, "position")
-    looks_for_value = values["method"] == DEFAULT_METHOD and values.get("aim_for") not in (None, "touch")
     redraws = values.get("overlaps") in (None, "redraw")
-    return is_by_position and looks_for_value and redraws and cross.keys().isdisjoint(FLIGHT_KEYS)
+    return values["method"] == DEFAULT_METHOD and redraws and cross.keys().isdisjoint(FLIGHT_KEYS)
 
 
 def campaign_of_meshes(

@@ -46,7 +46,7 @@ from qdgrasp_tools.report.row_report import genome_reader
 
 FIRST_FIELDS = (
     *("run", "gripper", "object", "scale", "method", "aim_for"),
-    *("told_apart_by", "grasps_per_cell", "protocol", "engine", "seed", "overlaps_mode"),
+    *("told_apart_by", "protocol", "engine", "seed", "overlaps_mode"),
     *("evaluations", "budget", "rows", "trials"),
 )
 """Figures that a table begins with."""
@@ -60,8 +60,7 @@ class RunSummary(RunListing, frozen=True, kw_only=True):
     aim_for: str = ""
     """Objective of a method that has one; empty: none, or `touch` in runs recorded without it."""
     told_apart_by: str = ""
-    """Diversity that the search looked for, `position`, `orientation` or `posture`; empty: no objective."""
-    grasps_per_cell: int | None = None
+    """Diversity that the search looked for, `position`, `orientation` or `contact`; empty: no objective."""
     """Grasps of different kinds that fill a cell, as the spec has it."""
     engine: str = DEFAULT_ENGINE
     """The physics engine."""
@@ -127,7 +126,6 @@ def run_summary(folder: RunFolder) -> RunSummary:
             scale=spec.scale or 1.0,
             aim_for=spec.aim_for or "",
             told_apart_by=spec.diversity or ("position" if spec.aim_for else ""),
-            grasps_per_cell=spec.grasps_per_cell,
             engine=spec.engine or DEFAULT_ENGINE,
             overlaps_mode=spec.overlaps,
             diversity=diversity(np.concatenate(keys), np.concatenate(outcomes)),

@@ -138,14 +138,6 @@ SkipUnusable = Annotated[
     bool,
     typer.Option("--skip-unusable", help="Continue without objects that cannot be used, and report them."),
 ]
-WarmStarts = Annotated[
-    list[Path] | None,
-    typer.Option(
-        metavar="RUN",
-        help="Begin with what this run of the same hand learned; repeatable.",
-        rich_help_panel=SPEC,
-    ),
-]
 Workers = Annotated[
     int | None,
     typer.Option(

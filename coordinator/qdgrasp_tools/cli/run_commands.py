@@ -32,7 +32,6 @@ from qdgrasp_protocol.spec import (
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign import source_runs
 from qdgrasp_tools.campaign.campaign_folder import extend_run
-from qdgrasp_tools.campaign.source_runs import WarmStart
 from qdgrasp_tools.campaign.summaries import run_summary
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import ProgressDisplay, progress_display, progress_messages
@@ -61,15 +60,14 @@ def resume_hint(job: JobFolder) -> str:
 
 
 @options.spec_flags(
-    "gripper", "object", "mass", "units", "mesh", "method", "aim_for", "seed", "protocol", "engine",
-    "resting_pose", "evaluations", "grasps",
+    "gripper", "object", "mass", "units", "mesh", "method", "aim_for", "diversity", "seed", "protocol",
+    "engine", "resting_pose", "evaluations", "grasps",
 )  # fmt: skip
 def run(
     keys: dict[str, Any],
     spec: Annotated[
         Path | None, typer.Argument(metavar="SPEC.toml", help="A spec; flags replace what it says.")
     ] = None,
-    warm_start: options.WarmStarts = None,
     seconds: options.Seconds = None,
     out: Annotated[
         Path | None, typer.Option(help="Run folder; default: one in runs, named after what it is.")
@@ -92,12 +90,7 @@ def run(
     asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | values | keys, str(spec) if spec else "run")
     config = LocalJobConfig(options.worker_count(workers, asked.engine), listen, security, insecure, seconds)
     place = out or Path("runs") / run_plan.default_run_name(asked)
-    more: dict[str, bytes] = {}
-    if warm_start:
-        RunFolder.check_free(place)
-        learned = WarmStart.learned(asked, [RunFolder.open(folder) for folder in warm_start])
-        asked, more = msgspec.structs.replace(asked, first_weights=learned.weights), learned.files
-    start_run(asked, place, config, job, more)
+    start_run(asked, place, config, job)
 
 
 def start_run(
@@ -172,7 +165,7 @@ def resume(
 
     So do --grasps, and other keys that end a run by --set, where it ended with these.
 
-    Example: qdgrasp resume runs/panda-mug-aimed-s0 --evaluations 20000
+    Example: qdgrasp resume runs/panda-mug-portfolio-s0 --evaluations 20000
     """
     folder = RunFolder.open(directory)
     if folder.job.is_campaign:
@@ -287,7 +280,7 @@ def rerank_spec(
     return run_spec({key: value for key, value in values.items() if key not in OF_A_SEARCH} | asked, "rerank")
 
 
-OF_A_SEARCH = (*OBJECTIVE_KEYS, "in_flight", "first_weights", "trials", *GOAL_KEYS)
+OF_A_SEARCH = (*OBJECTIVE_KEYS, "in_flight", "trials", *GOAL_KEYS)
 """Keys of a run that do not go over to the run that scores its grasps again."""
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
 """Values of a hand that differ between protocols, or that scenes of version 0.1.0 lack."""

@@ -43,9 +43,10 @@ def counters(*fields: str) -> tuple[MetricSpec, ...]:
 
 
 COUNT_METRICS: tuple[MetricSpec, ...] = (
-    *counters("evaluations", "trials", "simulated", "proposals", "overlaps", "dead_ends"),
+    *counters("evaluations", "trials", "simulated", "steps", "overlaps", "dead_ends"),
     *counters("successes", "grasps", "robust", "errors"),
     ("cells", GAUGE, "", ""),
+    ("contact_niches", GAUGE, "", ""),
     ("budget", GAUGE, "", "evaluations"),
 )
 """Metrics of both jobs and runs."""

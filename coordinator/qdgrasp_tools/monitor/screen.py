@@ -188,6 +188,7 @@ def run_list(view: JobView, top: int = 0) -> Listing:
         Column("done", lambda run: percent_text(run.done, 1.0)),
         Column("eval/s", lambda run: rate_text(run.rate), 5),
         Column("cells", lambda run: count_text(run.cells)),
+        Column("contacts", lambda run: count_text(run.contact_niches), 2),
         Column("success", lambda run: percent_text(run.successes, run.evaluations), 4),
         Column("robust", lambda run: count_text(run.robust), 3),
         Column("errors", lambda run: count_text(run.errors), 6),
@@ -251,6 +252,7 @@ def job_summary(view: JobView) -> Group:
     finds = (
         f"{successes} ({percent_text(one.successes, one.evaluations)})",
         counted(one.cells, "cell", told=count_text),
+        counted(one.contact_niches, "contact niche", told=count_text),
         f"{count_text(one.robust)} robust",
         counted(one.errors, "error", told=count_text),
         counted(one.trials, "trial", told=count_text) if one.trials else "",

@@ -23,7 +23,7 @@ from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS
 from qdgrasp_coordinator.metrics.successes import ROBUST, survival
 from qdgrasp_coordinator.search import registry
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.rows import GIVEN, Rows
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.rendering.drawings import OUTLINE, axes_triad, figure_text, show_view
 from qdgrasp_tools.rendering.views import best_in_cells, broad_azimuth, view_of_cells
@@ -45,12 +45,14 @@ PRIOR_HUES = {
     "contact": "#0072b2",
     "approach": "#d55e00",
     "antipodal": "#009e73",
-    "valued": "#cc79a7",
+    GIVEN: "#cc79a7",
     "spherical": "#4d4d4d",
 }
 FAMILIES: dict[str, Dashes] = {
-    "aimed": "-",
+    "portfolio": "-",
+    "antipodal_cells": (0, (2, 1)),
     "me_scs": "-",
+    "me_dns": (0, (3, 1.2, 1.1, 1.2)),
     "cma_mae": (0, (1.1, 1.3)),
     "me_rand": (0, (5, 1.6, 1.1, 1.6)),
     "own": (0, (8, 1.6)),
@@ -143,7 +145,14 @@ BAND_OPACITY = 0.13  # Opacity of an interquartile range
 CURVE_COLUMNS = 2  # Panels side by side: the paper's arrangement
 CURVE_PANEL = (4.6, 3.0)
 CURVE_WORDS = "median over seeds and quartiles; a circle: an unfinished run ends"
-COMPARED_METHODS = ("contact_rand", "approach_rand", "antipodal_rand", "me_scs", "contact_me_scs", "aimed")
+COMPARED_METHODS = (
+    "contact_rand",
+    "approach_rand",
+    "antipodal_rand",
+    "me_scs",
+    "contact_me_scs",
+    "portfolio",
+)
 """The methods of the paper's first figure of results, and the default of this project."""
 
 

@@ -170,7 +170,7 @@ def _run_columns(run: RunHistory) -> dict[str, Value]:
     }
 
 
-COUNTS = ("evaluations", "simulated", "proposals", "overlaps", "dead_ends", "successes")
+COUNTS = ("evaluations", "simulated", "steps", "overlaps", "dead_ends", "successes")
 
 
 def curve_rows(panels: Iterable[CurvePanel]) -> list[Row]:

@@ -4,7 +4,6 @@ Nominal rows are counted; a success's randomised trials give its eta and nothing
 pooled over its objects: a sample is then what a method reached with one seed on all of them, on average.
 """
 
-import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -34,7 +33,7 @@ from qdgrasp_coordinator.storage.outputs import RUNS, SPEC
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import GIVEN, Outcome
-from qdgrasp_protocol.spec import FirstWeights, RunSpec
+from qdgrasp_protocol.spec import RunSpec
 
 MethodVariant = tuple[str, str]  # A method, and the words that tell its variant from others
 
@@ -245,9 +244,7 @@ def _settings(spec: RunSpec) -> dict[str, str]:
 
 
 def _setting_words(value: object) -> str:
-    """Return a value of a spec in words; of weights, the first digits of their digest."""
-    if isinstance(value, FirstWeights):
-        return hashlib.sha256(msgspec.json.encode(value)).hexdigest()[:8]
+    """Return a value of a spec in words."""
     if isinstance(value, msgspec.Struct):
         return " ".join(f"{key}={one}" for key, one in msgspec.to_builtins(value).items())
     return str(value)

@@ -14,7 +14,7 @@ def rows(*outcomes: Outcome, generation: int = 0) -> Rows:
     made = SHAPE.empty(len(outcomes))
     made["generation"], made["index"] = generation, np.arange(len(outcomes))
     made["outcome"] = outcomes
-    made["proposals"] = 3
+    made["steps"] = 3
     return made
 
 
@@ -26,7 +26,7 @@ def test_every_outcome_is_counted_where_it_belongs() -> None:
     figures = (found.errors, found.dead_ends, found.overlaps, found.simulated, found.successes)
     assert figures == (2, 2, 2, 10, 6)
     assert (found.grasps, found.robust, total.rows, found.evaluations) == (4, 2, 16, 10)
-    assert found.proposals == 48
+    assert found.steps == 48
 
 
 def blocks(*generations: Rows, size: int) -> list[Rows]:

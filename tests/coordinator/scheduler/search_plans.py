@@ -41,7 +41,7 @@ def evaluate(rows: Rows) -> Rows:
     share = ((genome[:, 0] + 1) / 2 + rows["trial"] * np.float32(0.37)) % 1
     found["outcome"] = np.searchsorted([0.04, 0.1, 0.5, 0.7, 0.75, 0.85, 0.95], share, side="right")
     found["fitness"] = np.maximum(found["outcome"].astype(np.float32) - Outcome.DROPPED, 0)
-    found["proposals"] = 1
+    found["steps"] = 1
     found["descriptor"] = genome[:, 1:4] * np.float32(0.2)
     found["nu"] = genome[:, 1] * genome[:, 2]
     return np.where(found["outcome"] == Outcome.ERROR, rows, found)

@@ -28,7 +28,7 @@ def test_the_spec_is_completed_with_what_the_method_has(entry) -> None:
 
 def test_more_genomes_in_flight_are_taken_for_granted_where_nothing_is_said_of_them() -> None:
     """A recorded spec has all keys; where one is given, the others keep their older defaults."""
-    assert full_spec(dict(ASKED)).in_flight == METHODS["aimed"].in_flight
+    assert full_spec(dict(ASKED)).in_flight == METHODS["portfolio"].in_flight
     for said in ({"population": 50}, {"generations_in_flight": 2}, {"in_flight": None}):
         assert full_spec(ASKED | said).in_flight is None
     assert full_spec({**ASKED, "generations_in_flight": 2, "in_flight": 100}).in_flight == 100

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 from tests.common import PATIENCE, wait_for
@@ -118,7 +119,7 @@ def test_the_figures_of_the_job_are_the_sums_of_those_of_its_runs() -> None:
 
 
 def test_what_happens_is_told_when_it_does() -> None:
-    job = Job({"bad": None, "run-1": PLANS["run-1"]})
+    job = Job({"bad": None, "run-1": replace(PLANS["run-1"], seed=2)})
     heard = Heard(job.network.session())
     with heard.listening(), pytest.raises(RunsFailed):
         job.carry_out(workers=1)

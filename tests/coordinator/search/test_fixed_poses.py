@@ -7,6 +7,7 @@ from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
+from qdgrasp_assets.geometry.object_surface import ObjectSurface
 from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.metrics.successes import TrialPlan
 from qdgrasp_coordinator.search.fixed_poses import as_given, read_poses, scores, write_scores
@@ -15,7 +16,6 @@ from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import GIVEN, Outcome, RowShape
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.decoder import Decoder
-from qdgrasp_worker.object_geometry import ObjectSurface
 
 SPEC_POSES = tuple(
     tuple(float(str(x)) for x in row) for row in np.random.default_rng(2).normal(size=(7, 9)).astype("f4")

@@ -8,26 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.coordinator.search import synthetic_scene, test_aimed, test_cma_mae
+from tests.coordinator.search import synthetic_scene, test_cma_mae, test_portfolio
 from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
 from qdgrasp_coordinator.search.base import SearchAlgorithm, SearchSpace, keyed_generator
 from qdgrasp_coordinator.search.fixed_poses import FixedPoseSearch
-from qdgrasp_coordinator.search.niche_search import NicheSearch
-from qdgrasp_coordinator.search.registry import AIMED, METHODS, Method, check_spec, method
-from qdgrasp_coordinator.search.success_model import FIRST_TOUCH_WEIGHTS
-from qdgrasp_coordinator.search.value_search import ValueSearch
+from qdgrasp_coordinator.search.registry import METHODS, PORTFOLIO, Method, check_spec, method
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_protocol.spec import FirstWeights, RunSpec
+from qdgrasp_protocol.spec import RunSpec
 
-WEIGHTS = FIRST_TOUCH_WEIGHTS
 GENES = 7
-SHAPE = RowShape(genes=GENES, joints=2)
+SHAPE = RowShape(genes=GENES, joints=2, contact_slots=2)
 GENERATIONS = 6
 POPULATION = 60
-TOUCH = replace(AIMED, aim_for="touch")
+TOUCH = replace(PORTFOLIO, aim_for="touch")
 SEARCHES = [TOUCH, *{entry.build: entry for entry in METHODS.values()}.values()]
 """One method of each search: the priors, which tell the others apart, mean nothing here."""
 
@@ -38,7 +34,7 @@ def spec(seed: int = 0, **values) -> RunSpec:
 
 def space_of(entry: Method) -> SearchSpace:
     """A space of its genomes, whose meaning matters to searches that aim alone."""
-    return synthetic_scene.space(entry.prior) if entry.aim_for else plain(GENES)
+    return synthetic_scene.space() if entry.aim_for else plain(GENES)
 
 
 def shape_of(entry: Method) -> RowShape:
@@ -136,31 +132,15 @@ def _rows(shape: RowShape, generation: Generation) -> Rows:
 @pytest.mark.parametrize(
     ("values", "key"),
     [
-        ({"aim_for": "eta"}, "protocol"),
         ({"aim_for": "hold", "method": "me_scs"}, "aim_for"),
-        ({"first_weights": FirstWeights(touch=(0.5,)), "method": "me_scs"}, "first_weights"),
-        ({"first_weights": FirstWeights(touch=(0.5,)), "diversity": "posture"}, "first_weights"),
-        *(
-            ({"first_weights": FirstWeights(cell_touch=weights)}, "first_weights.cell_touch")
-            for weights in ((), WEIGHTS[1:], *((*WEIGHTS[1:], bad) for bad in (0.3, 65.0, np.nan)))
-        ),
-        ({"diversity": "posture", "method": "me_scs"}, "diversity"),
-        ({"grasps_per_cell": 2, "aim_for": "hold"}, "grasps_per_cell"),
+        ({"diversity": "contact", "method": "me_scs"}, "diversity"),
+        ({"diversity": "contact", "method": "antipodal_cells"}, "diversity"),
     ],
 )
 def test_what_a_search_cannot_do_is_refused_in_one_sentence(values, key) -> None:
     with pytest.raises(ImpossibleValue, match=f"^{key} must be ") as refused:
         check_spec(spec(**values))
     assert str(refused.value).count("\n") == 0
-
-
-@pytest.mark.parametrize(
-    ("diversity", "search"), [(None, ValueSearch), ("position", ValueSearch), ("posture", NicheSearch)]
-)
-def test_diversity_decides_on_the_search(diversity, search) -> None:
-    asked = spec(aim_for="hold", diversity=diversity, grasps_per_cell=1)
-    check_spec(asked)
-    assert type(method("aimed").build(asked, synthetic_scene.space("valued"))) is search
 
 
 def test_an_unknown_method_is_refused_with_the_known_ones_named() -> None:
@@ -178,7 +158,7 @@ def test_a_pipeline_of_given_poses_ends_also_when_they_do_not_spend_the_budget()
 
 def test_a_fresh_process_asks_the_same_bits() -> None:
     """One for all searches: it compiles and loads for seconds."""
-    modules = (test_aimed, test_cma_mae)
+    modules = (test_portfolio, test_cma_mae)
     calls = ", ".join(f"{each.__name__}.digest()" for each in modules)
     command = f"import {', '.join(each.__name__ for each in modules)}; print({calls})"
     there = subprocess.run(

@@ -33,7 +33,7 @@ SHIPPED = sorted((Path(__file__).parents[3] / "deploy" / "campaigns").glob("*.to
 CROSS = {"gripper": "panda", "object": ["mug", "bowl"], "method": ["contact_rand", "me_scs"], "seed": [0, 1]}
 
 SHADOW = {"gripper": "shadow", "method": "antipodal_rand"}
-USUAL = {"method": "aimed", "generations_in_flight": 1}
+USUAL = {"method": "portfolio", "generations_in_flight": 1}
 BEGUN = {"defaults": USUAL, "cross": [{"gripper": "panda", "object": "mug"}]}
 """A campaign as version 0.1.0 wrote it into a folder."""
 
@@ -62,7 +62,9 @@ class TestCrossing:
         asked = read_campaign(file, goals={"grasps": 9, "saturation": None})
         assert [spec.grasps for spec in as_written.runs.values()] == [5, 7]
         assert [spec.grasps for spec in asked.runs.values()] == [9, 7]
-        assert list(asked.runs) == list(as_written.runs) == ["panda-mug-aimed-s0", "panda-bowl-aimed-s0"]
+        assert (
+            list(asked.runs) == list(as_written.runs) == ["panda-mug-portfolio-s0", "panda-bowl-portfolio-s0"]
+        )
         file.write_text(asked.toml)
         assert read_campaign(file).runs == asked.runs
 
@@ -84,10 +86,10 @@ class TestCrossing:
             names({"cross": [CROSS, CROSS | {"evaluations": 7}]})
 
     def test_each_run_may_have_its_own_seed_for_the_surface_points_too(self, tmp_path: Path) -> None:
-        source = {"cross": [CROSS | {"object": "mug", "method": "aimed", "surface_seed": "seed"}]}
+        source = {"cross": [CROSS | {"object": "mug", "method": "portfolio", "surface_seed": "seed"}]}
         found = make_campaign(source, "c.toml")
         assert [(spec.seed, spec.surface_seed) for spec in found.runs.values()] == [(0, 0), (1, 1)]
-        assert list(found.runs) == ["panda-mug-aimed-s0", "panda-mug-aimed-s1-surface1"]
+        assert list(found.runs) == ["panda-mug-portfolio-s0", "panda-mug-portfolio-s1-surface1"]
         (tmp_path / "c.toml").write_text(found.toml)
         assert read_campaign(tmp_path / "c.toml").runs == found.runs
 
@@ -96,8 +98,6 @@ class TestCrossing:
         [
             {"population": 20},
             {"generations_in_flight": 2},
-            {"aim_for": "touch"},
-            {"diversity": "posture"},
             {"overlaps": "count"},
         ],
     )
@@ -115,10 +115,10 @@ class TestObjectives:
 
     @pytest.mark.parametrize(("defaults", "objective"), [({}, "hold"), ({"aim_for": "touch"}, "touch")])
     def test_the_file_in_a_folder_records_the_objective(self, tmp_path: Path, defaults, objective) -> None:
-        cross = {"gripper": "panda", "object": "mug", "method": ["aimed", "me_scs"]}
+        cross = {"gripper": "panda", "object": "mug", "method": ["portfolio", "me_scs"]}
         asked = make_campaign({"defaults": defaults, "cross": [cross]}, "c.toml")
         assert {spec.method: spec.aim_for for spec in asked.runs.values()} == {
-            "aimed": objective,
+            "portfolio": objective,
             "me_scs": None,
         }
         assert tomllib.loads(asked.toml)["defaults"]["aim_for"] == objective
@@ -127,9 +127,9 @@ class TestObjectives:
         assert read_campaign(file).runs == asked.runs
 
     def test_objectives_are_crossed_for_methods_that_have_one(self) -> None:
-        aims, pair = {"aim_for": ["hold", "margin"]}, {"gripper": "panda", "object": "mug"}
-        found = names({"defaults": aims, "cross": [pair | {"method": ["aimed", "me_scs"]}]})
-        assert found == ["panda-mug-aimed-s0", "panda-mug-aimed-s0-margin", "panda-mug-me_scs-s0"]
+        aims, pair = {"aim_for": ["hold", "touch"]}, {"gripper": "panda", "object": "mug"}
+        found = names({"defaults": aims, "cross": [pair | {"method": ["portfolio", "me_scs"]}]})
+        assert found == ["panda-mug-portfolio-s0", "panda-mug-portfolio-s0-touch", "panda-mug-me_scs-s0"]
         with pytest.raises(ImpossibleValue, match="aim_for must be left out for method 'me_scs'"):
             names({"cross": [pair | aims | {"method": "me_scs"}]})
 
@@ -148,7 +148,7 @@ class TestNames:
         ],
     )
     def test_a_name_says_what_is_not_the_default_and_no_budget(self, values, more) -> None:
-        assert named(**values) == f"panda-mug-aimed-s0{more}"
+        assert named(**values) == f"panda-mug-portfolio-s0{more}"
 
     def test_a_long_name_is_cut_and_still_its_own(self) -> None:
         long = {"gripper": "ref_robotiq_2f", "object": "bleach_cleanser", "method": "antipodal_cma_mae"}
@@ -228,8 +228,8 @@ def parts(tmp_path: Path) -> Path:
 def test_every_mesh_has_its_run_with_the_mass_that_its_volume_gives_it(parts):
     runs = campaign_of_meshes(parts, IN_MM, SAID).runs
     assert {name: (Path(spec.object).name, spec.mass, spec.scale) for name, spec in runs.items()} == {
-        "panda-b-gel-aimed-s0-physical": ("Bügel.ply", pytest.approx(0.03), 0.001),
-        "panda-lever-arm-aimed-s0-physical": ("lever arm.stl", pytest.approx(0.03), 0.001),
+        "panda-b-gel-portfolio-s0-physical": ("Bügel.ply", pytest.approx(0.03), 0.001),
+        "panda-lever-arm-portfolio-s0-physical": ("lever arm.stl", pytest.approx(0.03), 0.001),
     }
     assert all(Path(spec.object).is_absolute() and spec.evaluations == 50 for spec in runs.values())
 
@@ -267,8 +267,8 @@ def test_what_is_known_of_an_object_is_no_part_of_a_runs_name_and_comes_before_t
     source = cross(mug={"mass": 0.3, "friction": 0.7}) | {"defaults": {"mass": 0.1}}
     runs = make_campaign(source, "c.toml").runs
     assert {name: (spec.mass, spec.friction) for name, spec in runs.items()} == {
-        "panda-mug-aimed-s0": (0.3, 0.7),
-        "panda-bowl-aimed-s0-mass0_1": (0.1, None),
+        "panda-mug-portfolio-s0": (0.3, 0.7),
+        "panda-bowl-portfolio-s0-mass0_1": (0.1, None),
     }
 
 

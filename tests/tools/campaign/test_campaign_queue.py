@@ -76,7 +76,7 @@ def test_each_shape_is_wanted_once_and_runs_that_need_none_go_first(runs: dict[s
     wanted = queue.wanted_shapes(10)
     assert wanted.is_last
     assert [shape.mesh.name for shape in wanted.shapes] == ["box40.stl", "box50.stl"]
-    assert open_all(queue) == ["panda-tennis_ball-aimed-s0"]
+    assert open_all(queue) == ["panda-tennis_ball-portfolio-s0"]
     assert not queue.wanted_shapes(10).shapes
 
 

@@ -87,7 +87,10 @@ def test_a_manifest_says_the_same_in_any_format(library, suffix):
 
 def test_runs_are_called_after_the_ids_and_the_campaigns_file_asks_for_the_same(library, tmp_path):
     asked = campaign_of_meshes(write_manifest(library / "objects.csv"), LibraryRules(), VALUES)
-    assert list(asked.runs) == ["panda-acme-part-one-aimed-s0-physical", "panda-b-part-aimed-s0-physical"]
+    assert list(asked.runs) == [
+        "panda-acme-part-one-portfolio-s0-physical",
+        "panda-b-part-portfolio-s0-physical",
+    ]
     assert all(NAME.fullmatch(name) for name in asked.runs)
     file = tmp_path / "campaign.toml"
     file.write_text(asked.toml)

@@ -86,7 +86,7 @@ NARROW = totals(successes=2000, grasps=1000, cells=4)
         (UNTOUCHED, "few grasps: 3 of 4000 simulations touched it"),
         (DROPPED, "no grasp: it was dropped in 3800 of 3800 successes"),
         (ERRORS, "no grasp: the simulator failed on 4000 of 4000 rows"),
-        (NARROW, "few cells: 2000 successes in 4 cells"),
+        (NARROW, "few cells: 2000 successes in 4 cells, 0 contact niches"),
         (NO_TOTALS, "no grasp: no row is recorded"),
         (GOOD, ""),
     ],

@@ -82,7 +82,7 @@ def test_the_best_of_each_cell_are_taken_whatever_the_order_of_rows(seed: int, m
 
 @pytest.mark.parametrize(
     ("diversity", "chosen"),
-    [(None, [0]), ("position", [0]), ("orientation", [0, 1]), ("posture", [0, 1, 2])],
+    [(None, [0]), ("position", [0]), ("orientation", [0, 1]), ("contact", [0])],
 )
 def test_grasps_are_told_apart_as_the_search_did(diversity, chosen) -> None:
     found = rows(*[Outcome.HELD] * 3)

@@ -70,7 +70,7 @@ def test_a_campaign_of_meshes_goes_on_from_its_folder_with_a_larger_target(asked
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("c.toml --set grasps_per_cell=3", "grasps_per_cell goes with --objects DIR"),
+        ("c.toml --set population=3", "population goes with --objects DIR"),
         ("c.toml --units mm", "scale goes with --objects DIR"),
         ("c.toml --mesh remesh", "mesh goes with --objects DIR"),
         ("c.toml --set saturation=1.5", "saturation must be a number at least 0 and less than 1, got 1.5"),

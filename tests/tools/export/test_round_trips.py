@@ -20,7 +20,7 @@ from qdgrasp_tools.export.importer import object_frame
 
 LARGEST = 1e-6
 """Greatest error of a pose [m, rad]."""
-COMPARED = [column.name for column in RESULT if column.name not in ("proposals", "surface_point", "nu")]
+COMPARED = [column.name for column in RESULT if column.name not in ("surface_point", "nu")]
 """Columns of results without those of the aim, which given poses lack."""
 
 

@@ -14,7 +14,17 @@ from qdgrasp_tools.monitor.terminal import ScreenState
 
 NOON = datetime(2026, 11, 21, 12, tzinfo=UTC)
 NOW = datetime(2026, 11, 22, 13, 2, 3, tzinfo=UTC)
-COUNTS = ("simulated", "proposals", "overlaps", "dead_ends", "successes", "grasps", "robust", "errors")
+COUNTS = (
+    "simulated",
+    "steps",
+    "overlaps",
+    "dead_ends",
+    "successes",
+    "grasps",
+    "robust",
+    "errors",
+    "contact_niches",
+)
 
 
 def meta(job: str = "mugs", runs: int = 3, epoch: int = 2) -> job_status.JobMeta:
@@ -33,7 +43,7 @@ def figures(**more: object) -> JobStatus:
 
 def run(name: str, **more: object) -> job_status.RunStatus:
     counts = dict.fromkeys(("rows", "trials", "cells", "durable", *COUNTS), 0)
-    what = {"gripper": "panda", "object": "mug", "method": "aimed", "protocol": "paper", "seed": 0}
+    what = {"gripper": "panda", "object": "mug", "method": "portfolio", "protocol": "paper", "seed": 0}
     rest = {"scene": "ab" * 32, "outcomes": {one.name.lower(): 0 for one in Outcome}}
     values = {"run": name, "evaluations": 10, "budget": 1000, "workers": 9, "seconds": 1.0, "rate": 1.0}
     return job_status.RunStatus(**(counts | what | rest | values | more))
@@ -118,7 +128,7 @@ def job(
     """Return a job after so many seconds with 83 evaluations each, and silence `later` seconds."""
     jobs, keys = JobModels(), Keys(name)
     jobs.coordinator_changed(keys.coordinator_token(2), True, 1000.0)
-    names = [f"panda-mug-aimed-s{number}" for number in range(runs)]
+    names = [f"panda-mug-portfolio-s{number}" for number in range(runs)]
 
     def send(what: str, struct: object) -> None:
         jobs.receive(f"{keys.root}/{what}", to_json(struct), 1000.0 + second)  # type: ignore[arg-type]

@@ -47,7 +47,7 @@ def test_what_is_told_is_what_the_figures_say(job: JobView) -> None:
     assert {name: told[f"qdgrasp_{name}", "mugs"] for name in figures} == figures
     assert told["qdgrasp_run_evaluations_total", "mugs", "b"] == 10
     assert told["qdgrasp_job_info", "head", "mugs", "0"] == 1
-    assert told["qdgrasp_run_info", "panda", "mugs", "aimed", "mug", "paper", "a", "0"] == 1
+    assert told["qdgrasp_run_info", "panda", "mugs", "portfolio", "mug", "paper", "a", "0"] == 1
 
 
 def test_of_all_states_a_job_is_in_one(job: JobView) -> None:

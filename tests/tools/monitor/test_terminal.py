@@ -87,8 +87,8 @@ class TestRoom:
 
     def test_a_large_terminal_shows_more(self) -> None:
         small, large = text(MANY), text(MANY, 200, 60)
-        assert "panda-mug-aimed-s1" not in small
-        for words in ("panda-mug-aimed-s0", "panda-mug-aimed-s1", "Worker 15 joined.", "restarts"):
+        assert "panda-mug-portfolio-s1" not in small
+        for words in ("panda-mug-portfolio-s0", "panda-mug-portfolio-s1", "Worker 15 joined.", "restarts"):
             assert words in large
 
     def test_a_long_list_has_all_the_room_and_scrolls(self) -> None:

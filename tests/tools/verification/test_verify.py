@@ -66,7 +66,7 @@ def folders(tmp_path: Path) -> list[RunFolder]:
 
 def own(rows: Rows) -> Rows:
     """Rows as wide as those of a run with the default method."""
-    return reshape_rows(rows, RowShape(genes=36, joints=2, descriptors=9))
+    return reshape_rows(rows, RowShape(genes=36, joints=2))
 
 
 def rows_of(folder: RunFolder) -> Rows:
@@ -146,7 +146,7 @@ def test_lots_are_the_runs_of_a_job_one_after_the_other(folders: list[RunFolder]
     again, second = lots.next(), lots.next()
     assert second is not None
     assert (again.run, lots.next()) == (first.run, None)
-    assert first.prior == "valued"
+    assert first.prior == "given"
 
 
 def test_the_runs_of_a_campaign_are_looked_for_in_its_folder(folders, tmp_path) -> None:

@@ -27,12 +27,10 @@ def physical(hand: str = "panda", target: str = "rubiks_cube", protocol: str = "
     ("scene", "prior"),
     [
         (physical(), "approach"),
-        (physical(), "valued"),
         (physical("allegro", "mug"), "contact"),
         (physical(protocol="robust"), "approach"),
-        (physical(protocol="robust"), "valued"),
     ],
-    ids=["panda", "candidates", "synergies", "trials", "candidates-in-trials"],
+    ids=["panda", "synergies", "trials"],
 )
 def test_rows_in_lockstep_are_those_of_one_by_one(scene, prior):
     genomes = draw(24, len(layout(scene, prior)), near=12 if prior == "approach" else 0)

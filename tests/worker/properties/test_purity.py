@@ -6,19 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.common import with_gripper
-from tests.worker.genomes import (
-    CANDIDATES,
-    LOOSENESS,
-    RANKED_BY,
-    Genomes,
-    decoded,
-    draw,
-    elsewhere,
-    encoded,
-    evaluated,
-    facing,
-    results,
-)
+from tests.worker.genomes import Genomes, decoded, draw, elsewhere, evaluated, results
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
@@ -46,9 +34,9 @@ CASES = {
     "synergies": ("approach", lambda make: many_ways(make("panda", "tennis_ball", "released"))),
     "antipodal": ("antipodal", lambda make: make("panda", "mug", "paper")),
     "spherical": ("spherical", lambda make: make("panda", "tennis_ball", "paper")),
-    "valued": ("valued", lambda make: many_ways(make("panda", "rubiks_cube", "physical"))),
+    "physical": ("approach", lambda make: many_ways(make("panda", "rubiks_cube", "physical"))),
 }
-MANY = {"synergies": (160, 16), "spherical": (160, 16), "valued": (240, 96)}
+MANY = {"synergies": (160, 16), "spherical": (160, 16), "physical": (160, 64)}
 """Number of genomes, and of those from near by, where that is not 320 and 32."""
 
 
@@ -64,24 +52,6 @@ def spherical(scene: Scene, genomes: Genomes) -> Genomes:
     return (values / high * 2 - 1).astype(np.float32)
 
 
-def valued(scene: Scene, genomes: Genomes) -> Genomes:
-    """Genomes of the prior valued: at cells beside the poses of genomes of the prior approach."""
-    grasps = decoded(scene, "approach", genomes)
-    random, n = np.random.default_rng(4), len(genomes)
-    values = facing(scene, n, candidates=1)
-    values[:, :3] = grasps.positions + random.integers(0, 2, (n, 3)) * 0.01
-    values[:, 3:6] = grasps.surface_points
-    values[:, LOOSENESS] = random.choice([0.0, 0.5, 1.0], n, p=[0.8, 0.1, 0.1])
-    values[:, CANDIDATES] = random.choice([1.0, 4.0, 32.0], n)
-    ranked_by = values[::2, RANKED_BY]
-    ranked_by[:] = random.uniform(-0.3, 0.3, ranked_by.shape)
-    return encoded(scene, values)
-
-
-RECAST = {"spherical": spherical, "valued": valued}
-"""The priors whose genomes are made from those of approach."""
-
-
 @pytest.fixture(scope="module", params=CASES)
 def case(request, make_scene):
     """A scene, a prior and genomes of it."""
@@ -90,7 +60,7 @@ def case(request, make_scene):
         return scene, prior, draw(320, 4, seed=3)
     n, near = MANY.get(request.param, (320, 32))
     genomes = draw(n, len(layout(scene, "approach")), seed=3, near=near)
-    return scene, prior, RECAST[prior](scene, genomes) if prior in RECAST else genomes
+    return scene, prior, spherical(scene, genomes) if prior == "spherical" else genomes
 
 
 @pytest.fixture(scope="module")

@@ -106,6 +106,7 @@ class BulletWorld(GraspWorld):
         """Simulate one step."""
         self._detected_at = self._target.pose
         self._bullet.stepSimulation()
+        self.steps += 1
 
     def is_touching(self) -> bool:
         """Return whether any link of the hand touches the object."""

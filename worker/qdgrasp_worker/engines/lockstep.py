@@ -4,8 +4,8 @@
 and `BatchWorlds` steps the worlds that are still in it. The states of all worlds are arrays here, so that a
 world that has ended costs no more steps, and no result depends on other worlds.
 
-Decoding, screening, the choice among candidates and the placing of the open hand are those of `Evaluator`, in
-MuJoCo. Rows whose worlds overflowed their buffers, or whose numbers are not finite, are evaluated there, too.
+Decoding, filters and the placing of the open hand are those of `Evaluator`, in MuJoCo. Rows whose worlds
+overflowed their buffers, or whose numbers are not finite, are evaluated there, too.
 """
 
 from abc import ABC, abstractmethod
@@ -19,13 +19,12 @@ from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, dot, multiply, rotate, unit
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.candidate_ranking import Shortlist
-from qdgrasp_worker.decoder import DecodedGrasps
+from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.mujoco_simulation import FREE_DOFS, Simulation
 from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld
 from qdgrasp_worker.episode import EpisodeResult, outcome_of, settled_pose
 from qdgrasp_worker.evaluation_protocols import TrialSetup
-from qdgrasp_worker.evaluator import Evaluator, GenomeResult
+from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.physical_episode import (
     PUSHES,
     REST_SPEED,
@@ -157,6 +156,7 @@ class LockstepEpisodes:
         self._fixed, self._free = fixed, free
         self._setups, poses = setups, [setup.pose for setup in setups]
         self.is_trusted = np.ones(len(setups), dtype=bool)
+        self._steps = np.zeros(len(setups), dtype=np.intp)
         self._joints = np.array([pose.joints for pose in poses], dtype=np.float64)
         self._turns = conjugate(unit(np.array([pose.quaternion for pose in poses])))
         self._places = rotate(self._turns, -np.array([pose.position for pose in poses]))
@@ -173,7 +173,9 @@ class LockstepEpisodes:
         for row, survived in zip(grasps, self._push(np.array([*grasps], dtype=np.intp)), strict=True):
             outcome = outcome_of(survived, len(PUSHES))
             results[row] = grasps[row]._replace(outcome=outcome, fitness=survived)
-        return results
+        return [
+            result._replace(steps=steps) for result, steps in zip(results, self._steps.tolist(), strict=True)
+        ]
 
     def _start(self, simulation: Simulation) -> States:
         """Worlds at rest, with initial finger joints and the object's pose in the hand's frame."""
@@ -329,6 +331,7 @@ class LockstepEpisodes:
         for name in MOVING:
             states[name][rows] = moved.states[name]
         self.is_trusted[rows[moved.failed]] = False
+        self._steps[rows] += steps
         return moved
 
 
@@ -383,21 +386,20 @@ class LockstepEvaluator(Evaluator):
                 most = BufferSizes(*map(max, most, *used))
         return BufferSizes(*(next_power(BUFFER_FACTOR * number) for number in most))
 
-    def _find_all(
-        self, grasps: DecodedGrasps, shortlists: list[Shortlist], trials: list[int], rows: list[int]
-    ) -> dict[int, GenomeResult | str]:
-        """Return the results of these rows of a batch, or the reasons of failures."""
-        chosen = {row: self._choose(grasps, shortlists[row], trials[row]) for row in rows}
-        setups = {row: found for row, (_, found) in chosen.items() if isinstance(found, TrialSetup)}
-        results = {row: found for row, (_, found) in chosen.items() if isinstance(found, EpisodeResult)}
+    def _simulate(self, poses: dict[int, tuple[HandPose, int]]) -> dict[int, EpisodeResult | str]:
+        """Return the results of poses in their trials, or the reasons of failures."""
+        episode, results, setups = self._episode, {}, {}
+        for row, pose in poses.items():
+            placed = episode.place(self._protocol.trial(*pose))
+            if isinstance(placed, EpisodeResult):
+                results[row] = placed
+            else:
+                setups[row] = placed
         if setups:
             episodes = LockstepEpisodes(self._mujoco, self._fixed, self._free, [*setups.values()])
             simulated = zip(setups, episodes.run(), episodes.is_trusted, strict=True)
             results |= {row: result for row, result, is_trusted in simulated if is_trusted}
-        self.redone += len(rows) - len(results)
+        self.redone += len(poses) - len(results)
         return {
-            row: GenomeResult(chosen[row][0], results[row], max(1, shortlists[row].poses))
-            if row in results
-            else self._find(grasps, shortlists[row], trials[row])
-            for row in rows
+            row: results[row] if row in results else self._simulate_one(*pose) for row, pose in poses.items()
         }

@@ -203,6 +203,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         np.subtract(wanted, velocity, wanted)
         data.efc_aref[data.ne : data.ne + self._motors] = np.divide(wanted, self._time_step, wanted)
         self.free.end_step()
+        self.steps += 1
 
     def is_touching(self) -> bool:
         """Return whether any link of the hand touches the object; links pass through each other."""
@@ -305,6 +306,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         """Simulate up to the next look, with moving targets of the fingers."""
         self._command()
         self._now.step(self.steps_at_once)
+        self.steps += self.steps_at_once
 
     def closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
         """The finger joints [rad or m] while they close on nothing: before, and after each step."""

@@ -18,15 +18,14 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.genes import VALUED
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, disturbance_count, nominal_protocol
-from qdgrasp_worker.candidate_ranking import TableFilter
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, disturbance_count, nominal_protocol
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.evaluator import REASON_LENGTH, ROWS_AT_ONCE, BatchEvaluator, Evaluation, row_refusals
 from qdgrasp_worker.platform import EVALUATION
+from qdgrasp_worker.pose_filters import TableFilter
 from qdgrasp_worker.runtime.evaluator_api import EvaluatorFactory, EvaluatorFn, Hands
 from qdgrasp_worker.runtime.simulator_main import main as serve
 
@@ -47,23 +46,14 @@ class CustomEvaluator(BatchEvaluator):
         """Close the user's function if it can be closed."""
         getattr(self._judge, "close", lambda: None)()
 
-    def shape(self, prior: str) -> RowShape:
-        """As `BatchEvaluator.shape`; an InputError if the prior leaves a choice to the simulator."""
-        if prior == VALUED:
-            raise InputError(
-                f"Genomes of the prior '{prior}' stand for candidates, which only the simulator of this "
-                "package chooses among; take a method with another prior (`qdgrasp methods`)."
-            )
-        return super().shape(prior)
-
     def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
         """Evaluate genomes (n, d) of `prior`, each in its trial (n,)."""
         grasps, rows = self._decoder(prior)(genomes), self.shape(prior).empty(len(genomes))
         rows["genome"], rows["trial"] = genomes, trials
-        reasons = row_refusals(genomes, trials, grasps, self._protocol.trials)
-        failures = [(place, reason) for place, reason in enumerate(reasons) if reason]
-        _fill_poses(rows, grasps, np.array([not reason for reason in reasons], dtype=bool))
-        asked = np.flatnonzero([not reason for reason in reasons] & ~grasps.dead_ends)
+        failures = row_refusals(genomes, trials, grasps, self._protocol.trials)
+        wanted = np.isin(np.arange(len(rows)), [place for place, _ in failures], invert=True)
+        _fill_poses(rows, grasps, wanted)
+        asked = np.flatnonzero(wanted & ~grasps.dead_ends)
         refused = self._table(grasps, asked[trials[asked] == 0])
         rows["outcome"][refused] = Outcome.OVERLAP
         asked = np.setdiff1d(asked, refused)
@@ -110,7 +100,7 @@ class CustomEvaluator(BatchEvaluator):
 
 
 def _fill_poses(rows: Rows, grasps: DecodedGrasps, is_posed: NDArray[np.bool_]) -> None:
-    rows["outcome"][is_posed], rows["proposals"][is_posed] = Outcome.DEAD_END, 1
+    rows["outcome"][is_posed] = Outcome.DEAD_END
     columns = {
         "base_to_object": np.concatenate([grasps.positions, grasps.quaternions], axis=1),
         "descriptor": grasps.positions,

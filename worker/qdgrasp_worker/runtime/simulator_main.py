@@ -101,7 +101,6 @@ class SimulatorMain:
                 result = PartialResult(
                     n=len(part),
                     joints=shape.joints,
-                    descriptors=shape.descriptors,
                     contact_slots=shape.contact_slots,
                     columns=pack(part, RESULT),
                     failures=failures,

@@ -52,7 +52,6 @@ class PartialResult(SimulatorMessage, frozen=True, kw_only=True):
 
     n: int
     joints: int = 0
-    descriptors: int = 0
     contact_slots: int = 0
     columns: dict[str, bytes] = {}
     """All of `rows.RESULT`; rows named in `failures` hold zeros."""
@@ -191,7 +190,6 @@ class BatchProgress:
             key=key,
             n=work.n,
             joints=shape.joints,
-            descriptors=shape.descriptors,
             contact_slots=shape.contact_slots,
             columns=deflated(
                 {name: self._column(name, len(blob) // shape.n) for name, blob in shape.columns.items()}

@@ -73,7 +73,7 @@ class FakeFeed:
             at = self.now if at is None else at
             self.jobs.receive_answers(_values("mug", ["mug"], self.steps, self.gone, at), at)
             names = [
-                f"panda-{what}-aimed-s{seed}"
+                f"panda-{what}-portfolio-s{seed}"
                 for what in ("mug", "drill", "banana")
                 for seed in range(self.seeds)
             ]
@@ -135,7 +135,7 @@ def _run(name: str, told: int, steps: int, number: int) -> RunStatus:
     failed = {outcome: int(rest * part) for outcome, part in parts.items()}
     ends = {"dropped": dropped, "shaken": shaken, "held": held}
     spec = {"budget": BUDGET, "seed": number % 2, "object": name.split("-")[1] if "-" in name else name}
-    counts = {"evaluations": told, "rows": told, "proposals": 2 * told, "durable": told - told % 37}
+    counts = {"evaluations": told, "rows": told, "steps": 2 * told, "durable": told - told % 37}
     counts |= {"successes": held + shaken + dropped, "grasps": held + shaken, "robust": held}
     return sample_jobs.run(
         name,

@@ -1,11 +1,11 @@
-"""Priors: decoding of a genome's leading genes to hand poses; interface, kinds and table.
+"""Priors: from a genome's leading genes to hand poses; interface, kinds and table.
+
+Workers decode genomes by them, and searches compute poses on the surface.
 
 given: poses that are scored as they are; the genes are x y z [m], qx qy qz qw, the CoM frame.
 
-spherical: only that hands are near objects; the prior of the paper's methods without a prefix. The base
-frame's position in spherical coordinates about the centre of mass, and its rotation as Euler angles alpha,
-beta, gamma about the fixed axes x, y and z in this order. All are drawn uniformly, so positions are dense at
-the centre and the poles. The paper does not print the genes; they are those of its released code.
+spherical: only that hands are near objects: the base frame's position in spherical coordinates about the
+centre of mass, and Euler angles about the fixed axes x, y and z; the genes of the paper's released code.
 
 contact and approach, eq. 1-2: theta = (x_r, y_r, z_r, nu, d, xi, omega): the finder r chooses the nearest
 surface point p with normal n; the hand stands at the distance d + w from p, in the direction that leans from
@@ -13,43 +13,21 @@ n by nu, turned about n by xi; its approach axis points at p, and omega is the r
 looks from anywhere, nu in [0, pi]; approach from near the normal, nu in [0, nu_a], nu_a = pi / 4. The
 interval of nu is the layout's.
 
-The zeros of xi and omega come from `rotation.tangents`, which has no singularity; the frame of the public
-code divides by the normal's z. Only the zeros differ: both angles cover the full circle.
-
 antipodal, eq. 3-4: two fingers press on each other. theta = (x_r1, y_r1, z_r1, Omega): the finder chooses
 the nearest surface point P1 with normal n1; P2 is the last point of the object along -n1 within the hand's
 opening, n2 its normal. They make a grasp when the angle between n1 and -n2 is at most nu_t = pi / 6; else
 the genome is a dead end. The fingers close along P1 P2, the fingertips stand at its middle, and Omega is the
-roll about it. It is geometry alone, in every evaluation protocol. The released code of the paper probes with
-a sphere and takes the first exit, accepts angles of 160 to 190 and -15 to 15 degrees, and stops at 8 cm for
-every hand.
-
-valued: the hand is put into a cell, and looks at the object from there.
-
-An archive keeps a pose by the hand's position, so that a search may choose the position and leave the rest to
-geometry. A genome names a target, whose cell of 1 cm the hand stands in, a hint of the contact point, a roll,
-and the number of candidates. A candidate's position is uniform in the cell; its contact point is the surface
-point nearest to the hint, moved by 7 mm, or anywhere; the hand looks at it. A single candidate is not
-scattered: it stands at the target itself and looks at the hint, unless the hint is drawn from anywhere.
-Distance and direction follow: candidates out of the stand-off are dead ends. `CandidateScreen` chooses which
-of the others is simulated.
-
-The roll is about the direction from the target's own position to the hint. It is carried over to the
-directions of the candidates as a vector, because its zero jumps between directions (`rotation.tangents`).
-
-The draws depend on the genome's bytes alone.
+roll about it.
 """
 
-import hashlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from numpy.random import Generator
 from numpy.typing import NDArray
 
-from qdgrasp_assets import genes as known
+from qdgrasp_assets.geometry.object_surface import ObjectSurface, cross
 from qdgrasp_assets.geometry.rotation import (
     Floats,
     conjugate,
@@ -57,26 +35,12 @@ from qdgrasp_assets.geometry.rotation import (
     from_euler,
     from_frame,
     multiply,
-    rolls,
     tangents,
     turned,
 )
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol import rows
 from qdgrasp_protocol.rows import Layout
-from qdgrasp_worker.object_geometry import ObjectSurface, cross
-
-
-@dataclass(frozen=True)
-class PriorCandidates:
-    """The candidates that genomes stand for; most priors have one for each genome."""
-
-    rows: NDArray[np.intp]
-    """(m,): the genome that each is a candidate for, ascending; every genome has one at least."""
-    genes: Floats
-    """(m, d): the values of its genes, in m and rad."""
-    weights: Floats
-    """(n, f): numbers by which a genome's candidates are ranked; f is 0 where there is no choice."""
 
 
 @dataclass(frozen=True)
@@ -103,12 +67,6 @@ class Prior(ABC):
     def values(self, layout: Layout, genomes: NDArray[np.float32]) -> Floats:
         """The values (n, d) of genomes (n, d) in [-1, 1], in m and rad."""
         return layout.values(genomes)
-
-    def candidates(
-        self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface
-    ) -> PriorCandidates:
-        """The candidates of genomes (n, d) whose genes stand for `genes` (n, d)."""
-        return PriorCandidates(np.arange(len(genes)), genes, np.zeros((len(genes), 0)))
 
     @abstractmethod
     def poses(self, genes: Floats, surface: ObjectSurface, hand: SceneGripper) -> PriorPoses:
@@ -223,91 +181,11 @@ class AntipodalPrior(Prior):
         )
 
 
-PER_METRE = 100  # Cells in a metre: cell k reaches from k - 0.5 to k + 0.5 cm
-POINT_SIGMA = 0.007  # Standard deviation of a tightly drawn contact point along each axis [m]
-ROLL_SIGMA = 0.15  # rad
-TARGET, HINT, OMEGA, LOOSENESS, CANDIDATES = slice(0, 3), slice(3, 6), 6, 7, 8
-WEIGHTS = slice(9, 9 + known.RANKING_GENES)
-"""The places of the prior's own genes; `WEIGHTS` rank candidates."""
-
-
-class ValuedPrior(Prior):
-    """A prior whose genomes stand for several candidates each, ranked by genes of their own."""
-
-    name = known.VALUED
-
-    def candidates(
-        self, genes: Floats, genomes: NDArray[np.float32], surface: ObjectSurface
-    ) -> PriorCandidates:
-        """Candidates, as genes whose target is the hand's position, and whose hints are exact."""
-        asked = np.clip(np.nan_to_num(genes[:, CANDIDATES]), 1.0, known.MOST_CANDIDATES)
-        counts = np.rint(asked).astype(np.int64)
-        rows = np.repeat(np.arange(len(genes)), counts)
-        asides, _ = turned(*tangents(unit_directions(genes[:, TARGET], genes[:, HINT])), genes[:, OMEGA])
-        candidates = genes[rows]
-        starts = np.cumsum(counts) - counts
-        for genome, start, count in zip(genomes, starts.tolist(), counts.tolist(), strict=True):
-            scatter_candidates(candidates[start : start + count], genome_generator(genome), surface)
-        points = surface.points[surface.nearest(candidates[:, HINT])]
-        candidates[:, OMEGA] += rolls(asides[rows], unit_directions(candidates[:, TARGET], points))
-        return PriorCandidates(rows, candidates, genes[:, WEIGHTS])
-
-    def poses(self, genes: Floats, surface: ObjectSurface, hand: SceneGripper) -> PriorPoses:
-        """The poses that candidates (m, k) stand for; dead ends are zeros."""
-        positions, nearest = genes[:, TARGET], surface.nearest(genes[:, HINT])
-        points, normals = surface.points[nearest], surface.normals[nearest]
-        offsets = positions - points
-        distances = np.sqrt(dot(offsets, offsets))
-        low, high = hand.standoff
-        stood_off = distances - hand.palm_offset
-        found = (distances > 0.0) & (stood_off >= low) & (stood_off <= high) | np.isnan(distances)
-        outward = np.where(found[:, None], offsets / distances[:, None], normals)
-        aside = cross(normals, outward)
-        nu = np.arctan2(np.sqrt(dot(aside, aside)), dot(normals, outward))
-        quaternions = look_along(-outward, genes[:, OMEGA], hand)
-        return PriorPoses(
-            np.where(found[:, None], positions, 0.0),
-            np.where(found[:, None], quaternions, 0.0),
-            np.where(found[:, None], points, 0.0),
-            np.where(found, nu, 0.0),
-            ~found,
-        )
-
-
-def scatter_candidates(genes: Floats, random: Generator, surface: ObjectSurface) -> None:
-    """Draw candidates (k, g) of one genome in place: position, contact point, roll by the hint."""
-    k = len(genes)
-    genes[:, OMEGA] = 0.0
-    if k > 1:
-        cells = np.rint(genes[:, TARGET] * PER_METRE)
-        genes[:, TARGET] = (cells - 0.5 + random.random((k, 3))) / PER_METRE
-        genes[:, HINT] += random.normal(0.0, POINT_SIGMA, (k, 3))
-        genes[:, OMEGA] = random.normal(0.0, ROLL_SIGMA, k)
-    is_loose = random.random(k) < genes[:, LOOSENESS]
-    anywhere = surface.points[random.integers(len(surface.points), size=k)]
-    genes[:, HINT] = np.where(is_loose[:, None], anywhere, genes[:, HINT])
-    genes[:, OMEGA] = np.where(is_loose, random.uniform(0.0, 2.0 * np.pi, k), genes[:, OMEGA])
-
-
-def unit_directions(positions: Floats, points: Floats) -> Floats:
-    """The unit vectors (n, 3) from positions to points; z where both are the same."""
-    ways = points - positions
-    lengths = np.sqrt(dot(ways, ways))[:, None]
-    return np.where(lengths > 0.0, ways / lengths, np.array([0.0, 0.0, 1.0]))
-
-
-def genome_generator(genome: NDArray[np.float32]) -> Generator:
-    """The random generator that a genome's bytes seed."""
-    digest = hashlib.sha256(genome.astype("<f4").tobytes()).digest()
-    return np.random.default_rng(np.frombuffer(digest, dtype="<u4").tolist())
-
-
 EVERY = (
     AntipodalPrior(),
     ConePrior("approach"),
     ConePrior("contact"),
     FixedPosePrior(),
     SphericalPrior(),
-    ValuedPrior(),
 )
 PRIORS: dict[str, Prior] = {prior.name: prior for prior in EVERY}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_worker.object_geometry import MIN_EXIT_DISTANCE, last_exits
+from qdgrasp_assets.geometry.object_surface import MIN_EXIT_DISTANCE, last_exits
 
 BOX = trimesh.creation.box((0.04, 0.06, 0.08))
 
