@@ -22,9 +22,9 @@ from qdgrasp_coordinator.search.grasp_map import CELL_OPEN, SECOND, TRIED_OFTEN,
 from qdgrasp_protocol.rows import Genomes, Rows
 from qdgrasp_protocol.spec import RunSpec
 
-SHARPNESS = 8
+SHARPNESS = 24
 LEAST_SHARE = 0.02
-GAINS_KEPT, COSTS_KEPT = 0.8, 0.98  # Of the past after 50 genomes of an emitter
+GAINS_KEPT, COSTS_KEPT = 0.9, 0.98  # Of the past after 50 genomes of an emitter
 TRUSTED = 40  # Genomes of an emitter before its rate is believed
 ROW_STEPS = 8  # Cost of a row besides its steps of physics: what a pose that overlaps takes
 
