@@ -5,7 +5,7 @@ its CoM frame, and the hand is on the same of 20 sides of these contacts. It is 
 cells of the hand's position count shifts of one grip along the hand as well.
 
 The sides are the directions to the vertices of a dodecahedron, turned so that the axes of an object do not
-lie between two of them.
+lie between two of them, as orientation bins are.
 """
 
 from itertools import product
@@ -14,15 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats, dot, rotate, unit
+from qdgrasp_coordinator.metrics.cells import GOLDEN, TURN, cell_keys
 from qdgrasp_coordinator.metrics.grasp_quality import contact_values
 from qdgrasp_protocol.rows import Rows
 
 ContactNiches = NDArray[np.uint64]
 """(n,): a number for each contact niche; 0: no contact was recorded."""
 REGIONS_PER_METRE = 50  # Regions of 2 cm
-TURN = (-2.0, -2.0, -2.0, 3.0)
-"""Rotation of the sides, a quaternion xyzw before normalisation: as that of orientation bins."""
-GOLDEN = (1.0 + np.sqrt(5.0)) / 2.0
 _CORNERS = [
     *product((-1.0, 1.0), repeat=3),
     *((0.0, a / GOLDEN, b * GOLDEN) for a, b in product((-1.0, 1.0), repeat=2)),
@@ -41,9 +39,8 @@ def sides(ways: Floats) -> NDArray[np.int64]:
 
 def regions(points: Floats) -> NDArray[np.uint64]:
     """Return a number for the region of each of points (..., 3) [m]."""
-    places = np.rint(points * REGIONS_PER_METRE).astype(np.int64) + (1 << 20)
-    keys = (places[..., 0] << 42) | (places[..., 1] << 21) | places[..., 2]
-    return _mixed(keys.astype(np.uint64))
+    places = np.rint(points * REGIONS_PER_METRE).astype(np.int64)
+    return _mixed(cell_keys(places.reshape(-1, 3)).reshape(points.shape[:-1]).astype(np.uint64))
 
 
 def link_contacts(rows: Rows) -> tuple[Floats, NDArray[np.bool_]]:

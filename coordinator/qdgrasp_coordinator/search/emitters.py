@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from qdgrasp_assets.genes import layout
-from qdgrasp_assets.geometry.object_surface import ObjectSurface
+from qdgrasp_assets.geometry.object_surface import ObjectSurface, cross
 from qdgrasp_assets.geometry.rotation import Floats, dot, multiply, rotate, unit
 from qdgrasp_assets.priors import PRIORS
 from qdgrasp_assets.scene import Scene
@@ -134,7 +134,7 @@ class NeighbourEmitter:
 
 def shortest_turns(before: Floats, after: Floats) -> Floats:
     """Return the rotations (n, 4) that turn unit vectors (n, 3) into others the shortest way."""
-    across = np.cross(before, after)
+    across = cross(before, after)
     return unit(np.concatenate([across, np.maximum(1.0 + dot(before, after), 1e-9)[:, None]], axis=1))
 
 

@@ -34,7 +34,7 @@ Up to `CELL_OPEN` in an open cell (0: of an open grip too); in a cell that was t
 holds; with a second orientation in a cell; of which nothing new is expected.
 """
 STILL = 0.004
-"""Motion of the object while the hand closes [m] that takes a third off a grasp's preference.
+"""Motion of the object while the hand closes [m] that halves the preference for a still grasp.
 
 Grasps whose fingers meet at once hardly move it; they are surer, and cheaper to build on.
 """
