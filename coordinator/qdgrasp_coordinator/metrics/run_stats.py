@@ -28,13 +28,14 @@ def outcome_words(outcome: Outcome) -> str:
 
 
 class CurvePoint(Struct, frozen=True, array_like=True):
-    """The counts of a run at the end of one of its generations; a list of five numbers in JSON."""
+    """The counts of a run at the end of one of its generations; a list of six numbers in JSON."""
 
     evaluations: Annotated[int, "Counted evaluations."]
     steps: Annotated[int, "Simulated steps of physics."]
     successes: Annotated[int, "A finger touches the object after closing."]
     cells: Annotated[int, "Distinct 1 cm cells with a success."]
     robust: Annotated[int, "Successes that survived every disturbance."]
+    contact_niches: Annotated[int, "Distinct contact niches in which a grasp holds."]
 
 
 class GrowthCurve(Struct, frozen=True, kw_only=True):
@@ -43,7 +44,7 @@ class GrowthCurve(Struct, frozen=True, kw_only=True):
     run: Annotated[str, "Its name in its job."]
     points: Annotated[
         list[CurvePoint],
-        "At most 512, at evenly spaced generations: evaluations, steps, successes, cells, robust.",
+        "At most 512, at evenly spaced generations: evaluations, steps, successes, cells, robust, niches.",
     ]
 
 

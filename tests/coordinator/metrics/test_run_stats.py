@@ -93,7 +93,7 @@ def test_a_journal_with_trials_is_complete_when_the_last_trial_is_recorded(size:
 def recorded(generations: int) -> list[int]:
     recorder = run_stats.CurveRecorder()
     for generation in range(1, generations + 1):
-        recorder.record(run_stats.CurvePoint(generation, 0, 0, 0, 0))
+        recorder.record(run_stats.CurvePoint(generation, 0, 0, 0, 0, 0))
     return [point.evaluations for point in recorder.points]
 
 

@@ -43,7 +43,7 @@ from qdgrasp_tools.monitor.web.server import Access, application, live_routes, s
 HERE = "127.0.0.1"
 BUDGET = 90_000
 STEP = 60
-SUMMED = ("evaluations", "successes", "cells", "grasps", "robust", "simulated", "overlaps", "budget")
+COUNTS = ("evaluations", "successes", "cells", "contact_niches", "grasps", "robust", "simulated", "overlaps")
 
 
 class FakeFeed:
@@ -111,7 +111,7 @@ class FakeFeed:
 def _values(job: str, runs: list[str], steps: int, gone: set[int], at: float) -> dict[str, bytes]:
     keys, told = Keys(job), min(steps * STEP, BUDGET)
     courses = [_run(name, told, steps, number) for number, name in enumerate(runs)]
-    sums = {name: sum(getattr(one, name) for one in courses) for name in SUMMED}
+    sums = {name: sum(getattr(one, name) for one in courses) for name in (*COUNTS, "budget")}
     done = len(runs) if told == BUDGET else 0
     counts = {"runs": len(runs), "runs_open": len(runs) - done, "runs_done": done, "workers": 4 - len(gone)}
     more = {"recorders": 1, "waiting": told % 37, "seconds": steps * 1.0}
@@ -142,6 +142,7 @@ def _run(name: str, told: int, steps: int, number: int) -> RunStatus:
         outcomes={"error": rest - sum(failed.values()), **failed, **ends},
         simulated=told - failed["overlap"] - failed["dead_end"],
         cells=int(90 * (1 + number / 6) * (told / 1000) ** 0.6),
+        contact_niches=int(40 * (1 + number / 6) * (told / 1000) ** 0.5),
         seconds=steps * 1.0,
         rate=told / max(1, steps),
         finished="its budget is spent" if told == BUDGET else "",

@@ -34,13 +34,14 @@ def test_the_page_shows_numbers_that_grow(look: Look, place: str) -> None:
         arg=[found.element_handle(), before],
     )
     assert number(page.locator("#done").inner_text().partition(" of ")[0]) > 0
+    assert number(figure(page, "Contact niches").inner_text()) > 0
     assert float(page.locator("#progress").get_attribute("value") or 0) > 0
 
 
 def test_curves_are_drawn_and_their_last_points_are_told(look: Look, place: str) -> None:
     page = look(f"{place}/#job=mug")
     for plot, names in {
-        "cells": ["Cells"],
+        "cells": ["Cells", "Contact niches"],
         "successes": ["Successes", "Robust"],
         "speed": ["Evaluations/s"],
     }.items():

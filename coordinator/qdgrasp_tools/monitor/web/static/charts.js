@@ -1,4 +1,4 @@
-// Curves of a job: cells and successes over evaluations, and evaluations per second over time.
+// Curves of a job: cells, contact niches and successes over evaluations, and evaluations per second over time.
 
 import { darkMode, element, setAttribute, setText, updateChildren } from "./dom.js";
 import { count, rate, short, time } from "./format.js";
@@ -137,7 +137,10 @@ function legendEntry({ name, colour, dash }) {
 
 const MOST_LINES = 32; // runs that are drawn side by side
 const MOST_NAMED = 6; // of these with a colour each, as the style sheet has them
-const CELLS = [{ name: "Cells", colour: "accent", width: 2, fill: "wash" }];
+const CELLS = [
+  { name: "Cells", colour: "accent", width: 2, fill: "wash" },
+  { name: "Contact niches", colour: "ink", dash: [5, 4] },
+];
 const SUCCESSES = [
   { name: "Successes", colour: "faint" },
   { name: "Robust", colour: "ink", dash: [5, 4] },
@@ -158,8 +161,8 @@ export class CurvePanels {
     const one = run ?? (job.figures.runs < 2 ? job.runs[0] : null);
     const runs = one ? [one] : job.runs.slice(-MOST_LINES);
     const tables = runs.map((each) => runColumns(this.recorded.of(job.job, each)?.points ?? [], each));
-    const [done, cells, successes, robust] = one ? tables[0] : [];
-    this.cells.show(...(one ? [CELLS, [done, cells]] : manyLines("Cells", runs, tables, 1)));
+    const [done, cells, successes, robust, niches] = one ? tables[0] : [];
+    this.cells.show(...(one ? [CELLS, [done, cells, niches]] : manyLines("Cells", runs, tables, 1)));
     this.successes.show(...(one ? [SUCCESSES, [done, successes, robust]] : manyLines("Successes", runs, tables, 2)));
     this.#drawSpeed(job, now);
   }
@@ -176,11 +179,11 @@ function speed(number) {
   return number < 1 ? number.toFixed(2) : rate(number);
 }
 
-/** Columns of a run from its beginning until now: evaluations, cells, successes, robust ones. */
-function runColumns(points, { evaluations, successes, cells, robust }) {
+/** Columns of a run from its beginning until now: evaluations, cells, successes, robust ones, contact niches. */
+function runColumns(points, { evaluations, successes, cells, robust, contact_niches: niches }) {
   const known = points.filter(([done]) => done < evaluations);
-  const rows = [[0, 0, 0, 0, 0], ...known, [evaluations, 0, successes, cells, robust]];
-  return [0, 3, 2, 4].map((column) => rows.map((row) => row[column]));
+  const rows = [[0, 0, 0, 0, 0, 0], ...known, [evaluations, 0, successes, cells, robust, niches]];
+  return [0, 3, 2, 4, 5].map((column) => rows.map((row) => row[column]));
 }
 
 /** Series and data of one quantity of several runs: few each have a colour and stand in the legend, of more the line

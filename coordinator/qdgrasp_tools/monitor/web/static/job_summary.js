@@ -67,9 +67,10 @@ export class SummaryPanel {
       ["Grasps", short(subject.grasps), share(subject.grasps), "at least one disturbance survived"],
       ["Robust", short(subject.robust), share(subject.robust), "every disturbance survived"],
       ["Cells", short(subject.cells), "of 1 cm", "distinct cells with a success"],
+      ["Contact niches", short(subject.contact_niches), "of 2 cm", "distinct places, and sides, at which robust grasps touch the object"],
       ["Workers", ...workers(job)],
       ["Errors", short(subject.errors), `${count(job.figures.requeued)} requeued`, "rows given up, and batches queued again"],
-      ["Waiting", short(job.figures.waiting), job.figures.recorders ? "rows for the disk" : "no recorder", "rows not on disk yet"],
+      ["Waiting", short(job.figures.waiting), job.figures.recorders ? "for the disk" : "no recorder", "rows not on disk yet"],
     ];
     updateChildren(this.find("figures"), figures, ([name]) => name, figureItem, (item, [name, number, note, meaning]) => {
       setAttribute(item, "title", meaning ?? null);

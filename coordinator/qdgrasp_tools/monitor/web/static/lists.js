@@ -43,6 +43,7 @@ const RUN_COLUMNS = [
   { name: "evaluations", title: "Evaluations", number: true, value: ({ evaluations }) => evaluations, words: ({ evaluations }) => count(evaluations) },
   { name: "successes", title: "Successes", number: true, value: ({ successes }) => successes, words: ({ successes }) => count(successes) },
   { name: "cells", title: "Cells", number: true, value: ({ cells }) => cells, words: ({ cells }) => count(cells) },
+  { name: "contact_niches", title: "Contact niches", number: true, value: ({ contact_niches: niches }) => niches, words: ({ contact_niches: niches }) => count(niches) },
   { name: "robust", title: "Robust", number: true, value: ({ robust }) => robust, words: ({ robust }) => count(robust) },
 ];
 

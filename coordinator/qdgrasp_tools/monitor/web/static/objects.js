@@ -41,6 +41,7 @@ const COLUMNS = [
   { name: "evaluations", title: "Evaluations", number: true, words: ({ evaluations }) => count(evaluations) },
   { name: "share", title: "Success", number: true, words: ({ successes, evaluations }) => percent(successes, evaluations) },
   { name: "cells", title: "Cells", number: true, words: ({ cells }) => count(cells) },
+  { name: "contact_niches", title: "Contact niches", number: true, words: ({ contact_niches: niches }) => count(niches) },
   { name: "grasps", title: "Grasps", number: true, words: ({ grasps }) => count(grasps) },
   { name: "errors", title: "Errors", number: true, words: ({ errors }) => count(errors) },
   { name: "note", title: "Note", words },
