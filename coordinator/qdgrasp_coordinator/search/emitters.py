@@ -78,6 +78,7 @@ SPREAD = 0.004  # Half of the share of a cell in which a hand is put, and scatte
 ROLL_SIGMA = 0.1  # rad
 SYNERGY_REDRAW = 0.15  # The probability that a synergy is drawn anew
 JOINT_SIGMA = 0.025  # Scatter of a free joint, in its range
+LOOKED_AT = 16  # Cells for each pose asked: from some no parent can reach what it holds
 CHANCE = 0.3  # Exponent of chance in the order of cells
 
 
@@ -95,7 +96,8 @@ class NeighbourEmitter:
         (beside,) = np.nonzero((known.neighbours > 0) & known.grid.inside)
         open_ = beside[known.worth_many_tries(beside)]
         worth = (known.neighbours[open_] + 0.5) / (known.tries[open_] + 1.0)
-        chosen = open_[np.argsort(-worth * generator.random(len(open_)) ** CHANCE, kind="stable")[: 2 * n]]
+        order = np.argsort(-worth * generator.random(len(open_)) ** CHANCE, kind="stable")
+        chosen = open_[order[: LOOKED_AT * n]]
         around = known.elite_of[known.grid.around(chosen)]
         ways = (
             known.middles[around] - known.grid.middles(chosen)[:, None]

@@ -7,6 +7,7 @@ contacts with the side that the hand is on. Each is open while no grasp holds in
 """
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,8 @@ Places = NDArray[np.intp]  # (n,): cells of a grid, as places in it
 NEIGHBOURS = np.array([step for step in np.ndindex(3, 3, 3) if step != (1, 1, 1)]) - 1
 """(26, 3): the steps from a cell to those around it."""
 MOST_TRIES = 2
-MANY_TRIES = 8  # Of a cell beside one in which a grasp holds, before nothing else is expected there
+MANY_TRIES = 24  # Of a cell beside one in which a grasp holds, before nothing else is expected there
+GUESSED_TRIES = 2.0  # What the average chance counts for in that of a grip
 CELL_OPEN, TRIED_OFTEN, SECOND, NOTHING_NEW = range(1, 5)
 """Levels of poses.
 
@@ -96,18 +98,27 @@ class CellGrid:
 
 
 class Explored:
-    """Niches or grips: those in which a grasp holds, and the tries in each."""
+    """Niches or grips: the tries in each, and those that held."""
 
     def __init__(self) -> None:
-        self._held: set[int] = set()
+        self._held: Counter[int] = Counter()
         self._tries: Counter[int] = Counter()
 
     def is_open(self, keys: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Flag those of `keys` (n,) that are open, at their first occurrence: (n,)."""
-        some, first = np.unique(keys, return_index=True)
-        found = np.zeros(len(keys), np.bool_)
-        found[first] = [key not in self._held and self._tries[key] < MOST_TRIES for key in some.tolist()]
-        return found
+        return self._flags(keys, lambda key: key not in self._held and self._tries[key] < MOST_TRIES)
+
+    def is_new(self, keys: NDArray[np.integer]) -> NDArray[np.bool_]:
+        """Flag those of `keys` (n,) in which no grasp holds, at their first occurrence: (n,)."""
+        return self._flags(keys, lambda key: key not in self._held)
+
+    def chances(self, keys: NDArray[np.integer]) -> Floats:
+        """Return the share of tries that may be expected to hold: (n,)."""
+        average = max(self._held.total(), 1) / max(self._tries.total(), 50)
+        counts = np.array([(self._held[key], self._tries[key]) for key in keys.tolist()], np.float64)
+        held, tries = counts.reshape(-1, 2).T
+        chances: Floats = (held + GUESSED_TRIES * average) / (tries + GUESSED_TRIES)
+        return chances
 
     def count_tries(self, keys: NDArray[np.integer]) -> None:
         """Count a try in each of `keys` (n,)."""
@@ -115,15 +126,20 @@ class Explored:
 
     def hold(self, keys: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Record grasps that hold; flag those (n,) that are the first of their key."""
-        some, first = np.unique(keys, return_index=True)
-        found = np.zeros(len(keys), np.bool_)
-        found[first] = [key not in self._held for key in some.tolist()]
-        self._held.update(some.tolist())
+        found = self.is_new(keys)
+        self._held.update(keys.tolist())
         return found
 
     def __len__(self) -> int:
         """Return the number of those that hold a grasp."""
         return len(self._held)
+
+    @staticmethod
+    def _flags(keys: NDArray[np.integer], chosen: Callable[[int], bool]) -> NDArray[np.bool_]:
+        some, first = np.unique(keys, return_index=True)
+        found = np.zeros(len(keys), np.bool_)
+        found[first] = [chosen(key) for key in some.tolist()]
+        return found
 
 
 class GraspMap:
@@ -164,6 +180,11 @@ class GraspMap:
         levels[wanted] = np.where(by_grip, 0, CELL_OPEN)[wanted]
         return np.where(self.grid.inside[places], levels, NOTHING_NEW)
 
+    def expected_gains(self, proposals: Proposals) -> Floats:
+        """Return the gain (n,) that open cells may be expected to bring, by how grips did."""
+        _, _, grips = self._keys(proposals)
+        return self.grips.chances(grips) * self._gains(np.ones(len(grips)), self.grips.is_new(grips))
+
     def worth_many_tries(self, places: Places) -> NDArray[np.bool_]:
         """Flag the cells (n,) beside one that holds that were tried less than `MANY_TRIES` times."""
         is_worth: NDArray[np.bool_] = (
@@ -192,10 +213,16 @@ class GraspMap:
         is_new_niche, touches = self.niches.hold(niches), contact_niches(held)
         self.grips.hold(grips)
         is_new = is_new_niche if self._by == "orientation" else is_new_cell
-        n = len(self.niches) if self._by == "orientation" else int(np.count_nonzero(self.held))
-        is_new_contact = self.contacts.hold(touches) & (touches > 0) & (self._least is Outcome.HELD)
-        gains[places] = is_new / max(n, 50) + is_new_contact / max(len(self.contacts), 20)
+        gains[places] = self._gains(is_new, self.contacts.hold(touches) & (touches > 0))
         self._offer(held)
+        return gains
+
+    def _gains(self, new_cells: ArrayLike, new_contacts: ArrayLike) -> Floats:
+        """Return the relative growth (n,) by new cells (n,) and new contact niches (n,)."""
+        n = len(self.niches) if self._by == "orientation" else int(np.count_nonzero(self.held))
+        weight = 1.0 if self._least is Outcome.HELD else 0.0
+        contacts = weight * np.asarray(new_contacts) / max(len(self.contacts), 20)
+        gains: Floats = np.asarray(new_cells) / max(n, 50) + contacts
         return gains
 
     def _is_inside(self, rows: Rows) -> NDArray[np.bool_]:

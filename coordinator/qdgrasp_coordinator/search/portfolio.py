@@ -25,8 +25,9 @@ from qdgrasp_protocol.spec import RunSpec
 SHARPNESS = 24
 LEAST_SHARE = 0.02
 GAINS_KEPT, COSTS_KEPT = 0.9, 0.98  # Of the past after 50 genomes of an emitter
-TRUSTED = 40  # Genomes of an emitter before its rate is believed
-ROW_STEPS = 8  # Cost of a row besides its steps of physics: what a pose that overlaps takes
+TRUSTED = 20  # Genomes of an emitter before its rate is believed
+UNTRUSTED = 0.1  # Its share until then, of the best one's
+ROW_STEPS = 30  # Cost of a row besides its steps of physics: what a pose that overlaps takes
 
 
 class EmitterBandit:
@@ -37,12 +38,14 @@ class EmitterBandit:
         self._told = np.zeros(emitters, np.int64)
 
     def shares(self) -> Floats:
-        """Return the share (k,) of each emitter: as the best one's while little is told of it."""
+        """Return the share (k,) of each emitter."""
         gain, cost = (sums / np.maximum(counts, 1e-9) for sums, counts in (self._gains, self._costs))
-        rates = np.where(self._told < TRUSTED, 0.0, gain / np.maximum(cost, 1e-9))
-        best = rates.max()
-        relative = np.where(self._told < TRUSTED, 1.0, rates / best if best > 0.0 else 1.0)
-        shares = LEAST_SHARE + relative**SHARPNESS
+        is_trusted = self._told >= TRUSTED
+        rates = np.where(is_trusted, gain / np.maximum(cost, 1e-9), 0.0)
+        if best := rates.max():
+            shares = LEAST_SHARE + np.where(is_trusted, (rates / best) ** SHARPNESS, UNTRUSTED)
+        else:
+            shares = np.ones(len(rates))
         result: Floats = shares / shares.sum()
         return result
 
@@ -56,6 +59,7 @@ class EmitterBandit:
         self._told += counts
 
 
+POOL = 2  # Poses that promise something new to choose from, for each asked
 ROUNDS = 6  # Times that an emitter is asked for poses that promise something new
 
 
@@ -82,7 +86,7 @@ class Portfolio:
         shares = self._bandit.shares()
         wanted = generator.multinomial(self._spec.population, shares)
         order, parts, lacking = np.argsort(-shares, kind="stable").tolist(), [], 0
-        for worst in (CELL_OPEN, TRIED_OFTEN, SECOND):  # each only where the levels before it run dry
+        for worst in (TRIED_OFTEN, SECOND):  # second orientations only where cells run dry
             for place in order:
                 n = lacking + int(wanted[place])
                 parts.append((place, self._proposed(self._emitters[place], n, worst, generator)))
@@ -106,12 +110,15 @@ class Portfolio:
         """Return at most `n` poses of an emitter of a level up to `worst`, and count them as tried."""
         found, promising = emitter.propose(n, generator), -1
         for _ in range(ROUNDS if n else 0):
-            before, promising = promising, int(np.count_nonzero(self._map.levels(found) == 0))
-            if promising >= n or promising == before:
+            before, promising = promising, int(np.count_nonzero(self._map.levels(found) <= TRIED_OFTEN))
+            if promising >= POOL * n or promising == before:
                 break
             found = found.joined(emitter.propose(n, generator))
         levels = self._map.levels(found)
-        order = np.argsort(levels, kind="stable")[:n]
+        if isinstance(emitter, SurfaceEmitter):  # of draws those that may be expected to gain most
+            order = np.lexsort((-self._map.expected_gains(found), np.maximum(levels, CELL_OPEN)))[:n]
+        else:
+            order = np.argsort(levels, kind="stable")[:n]
         chosen = found[order[levels[order] <= worst]]
         self._map.count_tries(chosen)
         return chosen

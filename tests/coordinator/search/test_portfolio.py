@@ -120,10 +120,13 @@ class TestBandit:
         assert shares[2] > 0.0
         assert np.isclose(shares.sum(), 1.0)
 
-    def test_an_emitter_that_was_hardly_asked_counts_as_the_best(self) -> None:
+    def test_an_emitter_that_was_hardly_asked_is_tried(self) -> None:
         bandit = EmitterBandit(2)
-        bandit.learn(np.zeros(500, np.intp), np.ones(500), np.full(500, 100.0))
         assert np.allclose(bandit.shares(), 0.5)
+        bandit.learn(np.zeros(500, np.intp), np.ones(500), np.full(500, 100.0))
+        hardly_asked = bandit.shares()[1]
+        bandit.learn(np.ones(500, np.intp), np.zeros(500), np.full(500, 100.0))
+        assert 0.0 < bandit.shares()[1] < hardly_asked < 0.5
 
 
 def test_it_fills_cells_and_ends_at_those_that_it_can_fill() -> None:
