@@ -151,7 +151,7 @@ def job(qdgrasp: Commands) -> Iterator[tuple[subprocess.Popen[str], str]]:
 @pytest.mark.slow
 def test_workers_of_one_command_carry_a_job_out_whatever_is_killed(qdgrasp, job, long_digest):
     process, endpoint = job
-    team = start(qdgrasp, endpoint, "--job", "run", "--workers", 2, "--pin")
+    team = start(qdgrasp, endpoint, "--job", "run", "--workers", 2)
     folder = qdgrasp.home / "run"
 
     def workers() -> list[int]:
