@@ -263,7 +263,8 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
     ("4", "patience while cut off", wild): {"give up while cut off": [off(WorkerRegistry, "on_link")]},
     ("8", "bounded memory", wild): {"ask without end": [value(Outbox, "is_full", lambda _: False)]},
     ("4", "bounded memory", wild): {
-        "never forget a worker": [around(WorkerRegistry, "_give_up", _never_forget)]
+        "never forget a worker": [around(WorkerRegistry, "_give_up", _never_forget)],
+        "wait for late tokens for ever": [patch.object(worker_registry, "TOKEN_DELAY", inf)],
     },
     ("4", "no machine spins", wild): {
         "give up for ever again who is gone": [around(WorkerRegistry, "_give_up", _stay_due)]

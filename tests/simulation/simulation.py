@@ -26,9 +26,15 @@ from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox, RecorderClient
 from qdgrasp_coordinator.scheduler.run_plan import BuildReply, RunPlan
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun
-from qdgrasp_coordinator.scheduler.worker_registry import SCENES_KEPT, TURNAROUNDS_KEPT, LostWorker
+from qdgrasp_coordinator.scheduler.worker_registry import (
+    SCENES_KEPT,
+    TOKEN_DELAY,
+    TOKEN_GRACE,
+    TURNAROUNDS_KEPT,
+    LostWorker,
+)
 from qdgrasp_protocol.build_messages import Built, ShapeTask
-from qdgrasp_protocol.messages import Recordable, Recorded, Result
+from qdgrasp_protocol.messages import Join, Recordable, Recorded, Result
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.runtime.job_registry import JobSession
@@ -234,7 +240,10 @@ class DispatchChecker:
             self._wrap(self._dispatch, name)
         for name in ("build", "settle_build", "withdraw_builds", "give_up_build"):
             self._wrap(self._dispatch, name)
-        self._wrap(self._workers, "overdue")
+        self._joined: dict[str, float] = {}
+        """When the latest join without its token was heard, by worker: that token may be late."""
+        for name in ("join", "overdue"):
+            self._wrap(self._workers, name)
 
     def _wrap(self, owner: object, name: str) -> None:
         setattr(self, f"_real_{name}", getattr(owner, name))
@@ -333,6 +342,11 @@ class DispatchChecker:
         require(keys <= self.outstanding, "settled once", "nobody waits for", keys - self.outstanding)
         self.outstanding -= keys
 
+    def _join(self, join: Join, now: float) -> list[bytes] | None:
+        if join.wid not in self._workers.alive:
+            self._joined[join.wid] = now
+        return self._real_join(join, now)
+
     def _overdue(self, now: float) -> list[LostWorker]:
         lost = self._real_overdue(now)
         for one in lost:
@@ -389,8 +403,10 @@ class DispatchChecker:
         require(set(self._dispatch._queue._runs) <= open_runs, "bounded memory", "rows of finished runs")
 
     def check_workers(self, living: set[str]) -> None:
-        """Check that only workers that are there are remembered."""
-        gone = set(self._workers._workers) - living
+        """Check that only workers that are there are remembered, or whose tokens may be late."""
+        lately = self._host.now - TOKEN_DELAY - TOKEN_GRACE
+        known = {wid for wid in self._workers._workers if self._joined.get(wid, -inf) < lately}
+        gone = known - living
         require(not gone, "bounded memory", "workers that are gone:", gone)
         gone = self._workers.alive - living
         require(not gone, "bounded memory", "tokens that are gone:", gone)
@@ -406,7 +422,7 @@ def _keys(run: str, rows: Generation) -> list[Key]:
 PATIENCE, LOSSY_PATIENCE = 150.0, 900.0
 """Seconds of calm in which a row must be recorded; on lossy links leases must pass first."""
 SETTLED_DOWN = 45.0
-"""Seconds of calm after which only present workers are remembered."""
+"""Seconds of calm after which only present workers are remembered, and those that asked to join lately."""
 
 
 class SimulationChecker:

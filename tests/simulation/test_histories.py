@@ -15,6 +15,7 @@ from tests.simulation.network import LinkQuality
 from tests.simulation.plan import FAULTS, History, some_history
 from tests.simulation.play import Verdict, play
 
+from qdgrasp_coordinator.scheduler.worker_registry import TOKEN_DELAY
 from qdgrasp_coordinator.search.base import SearchAlgorithm
 from qdgrasp_coordinator.search.registry import PAPER, PORTFOLIO, Method
 from qdgrasp_protocol.messages import Joined
@@ -30,6 +31,16 @@ def test_a_worker_whose_token_comes_seconds_after_its_question_is_not_forgotten(
     assert dispatch.leases(5.0) == []
     dispatch.workers.on_token(ANN, True, 5.0)
     assert len(dispatch.leases(5.0)) == 2
+
+
+def test_a_worker_whose_last_question_comes_after_its_token_has_gone_is_forgotten() -> None:
+    """History 4758: it may also be back, with a token that comes later than its question."""
+    dispatch = with_work()
+    dispatch.workers.on_token(ANN, False, 5.0)
+    dispatch.join(join_message(ANN, 2, 0), 5.1)
+    assert dispatch.give_up(5.0 + TOKEN_DELAY) == []
+    assert [lost.is_there for lost in dispatch.give_up(5.2 + TOKEN_DELAY)] == [False]
+    assert list(dispatch.workers) == []
 
 
 def test_a_worker_asks_the_coordinator_that_is_left_where_an_answer_outlives_its_sender() -> None:
