@@ -26,6 +26,7 @@ from qdgrasp_coordinator.scheduler.pipeline import GenerationBuffer, Pipeline
 from qdgrasp_coordinator.scheduler.recorder_client import Outbox
 from qdgrasp_coordinator.scheduler.worker_registry import LostWorker, Worker, WorkerRegistry
 from qdgrasp_coordinator.storage.journal import JournalSlice
+from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.runtime.job_registry import JobSession
 
@@ -165,8 +166,10 @@ def _report_expected(report: Real, recorder: Recorder, run: str) -> Recorded:
     return Recorded(epoch=message.epoch, run=run, durable=recorder.writers[run].expected, trouble="")
 
 
-def _take_in_silence(recorder: Recorder, message: Recordable, now: float) -> None:
-    recorder.add_rows(message, now)
+def _take_in_silence(take: Real, recorder: Recorder, sample: Sample, now: float) -> None:
+    news = set(recorder._news)
+    take(recorder, sample, now)
+    recorder._news = news
 
 
 def _forget_sent(due: Real, outbox: Outbox, now: float) -> list[JournalSlice]:
@@ -220,7 +223,7 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
     ("8", "progress", wild): {
         "forget before durable": [around(Outbox, "take_due", _forget_sent)],
         "send rows once": [off(Outbox, "resend")],
-        "report commits only, once": [patch.object(Recorder, "_take_rows", _take_in_silence)],
+        "report commits only, once": [around(Recorder, "take", _take_in_silence)],
         "pass over a higher epoch": [off(JobScheduler, "_on_token")],
     },
     ("7", "told in order", wild): {

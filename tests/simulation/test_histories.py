@@ -1,5 +1,6 @@
 """Every invariant holds under faults of machines, links and disks; mutations are noticed."""
 
+from contextlib import ExitStack
 from dataclasses import replace
 
 import numpy as np
@@ -218,6 +219,13 @@ QUICK = (
 )
 def test_it_is_noticed_within_some_histories_to(mutation: Mutation) -> None:
     assert noticed(mutation) is not None
+
+
+def test_every_mutation_replaces_what_is_there() -> None:
+    for mutation in MUTATIONS:
+        with ExitStack() as stack:
+            for one in mutation.patches:
+                stack.enter_context(one)
 
 
 def test_every_invariant_is_to_notice_something() -> None:
