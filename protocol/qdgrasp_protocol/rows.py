@@ -78,6 +78,8 @@ LIFT = "lift"
 DISTURBANCES = {"physical": 6, LIFT: 1}
 """Disturbances that a grasp meets after closing: six forces, or the lift; elsewhere they are two shakes."""
 SHAKES = 2
+SLIDING_LAG, TURNING_LAG = 0.014, 0.23  # From joint to target of a drive that gives its limit [m, rad]
+JAW_PRELOAD = 0.5  # Share of its greatest force with which each finger of a jaw grips: one drive moves both
 
 
 def nominal_protocol(protocol: str, base: str) -> str:

@@ -144,8 +144,8 @@ class DriveGains:
 
 
 DAMPING_RATIO = 0.7
-SLIDING = DriveGains(lag=0.014, frequency=220.0, speed=0.1, rest_speed=2e-3)
-TURNING = DriveGains(lag=0.23, frequency=55.0, speed=1.0, rest_speed=0.02)
+SLIDING = DriveGains(lag=rows.SLIDING_LAG, frequency=220.0, speed=0.1, rest_speed=2e-3)
+TURNING = DriveGains(lag=rows.TURNING_LAG, frequency=55.0, speed=1.0, rest_speed=0.02)
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from math import acos, dist, inf
 from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.grippers.urdf import UrdfJoint
 from qdgrasp_assets.scene import Joint, RestingPose, SceneGripper, Vector
+from qdgrasp_protocol.rows import JAW_PRELOAD
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluation_protocols import DAMPING_RATIO, SLIDING, TURNING, Lift, Physics
@@ -30,7 +31,6 @@ from qdgrasp_worker.world import GraspWorld, Quaternion
 
 SLIDING_EFFORT = 70.0  # Force of a sliding joint whose drive is not known, at most: Franka hand [N]
 FINGERTIP_FORCE = 15.0  # Force at the fingertip of a turning joint whose drive is not known, at most [N]
-JAW_PRELOAD = 0.5  # Share of its greatest force with which each finger of a jaw grips: one drive moves both
 
 
 @dataclass(frozen=True)

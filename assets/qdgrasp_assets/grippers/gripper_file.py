@@ -1,7 +1,4 @@
-"""A gripper's TOML file: reading, and validation against its URDF.
-
-All mismatches with the URDF and impossible values are listed at once.
-"""
+"""A gripper's TOML file, read and checked against its URDF; all faults are listed at once."""
 
 import math
 import tomllib
@@ -84,6 +81,8 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     joints: dict[str, JointTable]
     synergies: tuple[Synergy, ...] = ()
     free_joints: dict[str, FreeJointTable] = {}
+    fixed_joints: dict[str, float] = {}
+    """Joints of the real hand that do not move in the URDF, with their positions [rad or m], for exports."""
     jaw: Jaw | None = None
     """Its axis may be of any length; None: not a two-finger hand."""
     carrier_hold_force: float = 100.0
@@ -142,10 +141,7 @@ RIGHT_ANGLE_TOLERANCE = 1e-3  # the cosine up to which an angle is taken for a r
 
 
 def gripper_faults(file: GripperFile, robot: Urdf) -> Iterator[str]:
-    """Yield all faults of a gripper's file: impossible values, and mismatches with its URDF.
-
-    Names must exist, the file must name every joint that moves, and numbers must be possible.
-    """
+    """Yield all faults of a gripper's file: impossible values, and mismatches with its URDF."""
     unknown = tuple(_unknown_names(robot, "base_link", [file.base_link], robot.links))
     yield from unknown
     if not unknown:
@@ -163,6 +159,8 @@ def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
     paired = dict.fromkeys(chain.from_iterable(file.disabled_collisions))
     yield from _unknown_names(robot, "disabled_collisions", paired, hand.links)
     yield from _original_base_faults(file, robot, hand)
+    if twice := file.fixed_joints.keys() & moving:
+        yield f"fixed_joints names {', '.join(sorted(twice))}, which moves; give it a table in [joints]"
     for synergy in file.synergies:
         yield from _unknown_names(robot, f"synergy '{synergy.name}'", synergy.joints, file.joints)
     for name in moving:

@@ -44,6 +44,7 @@ from qdgrasp_tools.export.grasp_table import (
     RestingPoseRecord,
     SourceRun,
 )
+from qdgrasp_tools.export.grip import fixed_joints
 
 if TYPE_CHECKING:
     from qdgrasp_assets.grippers.reachability import ReachabilityCheck
@@ -265,6 +266,7 @@ def grasp_metadata(chosen: ChosenGrasps, frame: Frame, journal: Journal) -> Gras
         gripper_source=_printable(hand.source),
         gripper_licence=_printable(hand.licence),
         gripper_sha256=part_digest(hand),
+        fixed_joints=fixed_joints(grasps.spec.gripper),
         original_base=scene_original_base(hand) or UNSET,
         object=body.name,
         object_file=file,

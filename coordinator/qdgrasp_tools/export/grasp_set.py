@@ -28,6 +28,7 @@ from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.rows import LIFT, NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import ENGINES, RunSpec, engine_names
 from qdgrasp_protocol.text import counted
+from qdgrasp_tools.export import grip
 from qdgrasp_tools.export.grasp_table import (
     COM,
     LIFT_MEANING,
@@ -49,7 +50,6 @@ if TYPE_CHECKING:  # scipy takes its time
     from qdgrasp_assets.grippers.reachability import Reach, ReachabilityCheck
 
 GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
-JOINT, PREGRASP = "joint.", "pregrasp."  # Prefixes of columns of joints; the joint's name follows
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 SETTLED = "settled_"  # Prefix of columns of the settled pose
 OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
@@ -230,6 +230,11 @@ class Grasps:
     def joint_names(self) -> tuple[str, ...]:
         """The finger joints, in the order of `joints` and `pregrasp`."""
         return tuple(joint.name for joint in self.scene.gripper.joints)
+
+    @cached_property
+    def postures(self) -> grip.Postures:
+        """Every joint of the hand, fixed ones too, as files have them."""
+        return grip.whole_postures(self.scene.gripper, self.spec, self.pregrasp, self.joints, self.synergies)
 
     @property
     def synergy_names(self) -> tuple[str, ...]:
@@ -413,15 +418,16 @@ class Grasps:
             names=self.numbers.astype(str),
             poses=self.poses(frame),
             frame=frame,
-            joint_names=self.joint_names,
-            pregrasp=self.pregrasp,
+            joint_names=self.postures.names,
+            pregrasp=self.postures.pregrasp,
             synergies=names[self.synergies],
             confidence=self.confidence,
             metadata=metadata,
             scene=self.scene,
             base_to_object=self.rows["base_to_object"],
             settled=settled,
-            joints=self.joints,
+            joints=self.postures.joints,
+            squeeze=self.postures.squeeze,
             contacts=self.contacts_in(frame),
             columns={column.name: column for column in self._columns(frame, settled)},
             approach=None if self.approach is None else self.approach_poses(frame),
@@ -452,11 +458,9 @@ class Grasps:
             for name, values in zip(POSE, of.T, strict=True):
                 length = f"hand's root link in the object's frame, {kind} pose [m]"
                 yield GraspColumn(begin + name, values, length if len(name) == 1 else "its quaternion")
-        for name, joint, start in zip(self.joint_names, self.joints.T, self.pregrasp.T, strict=True):
-            yield GraspColumn(JOINT + name, joint, "joint after closing, at the settled pose [rad or m]")
-            yield GraspColumn(
-                PREGRASP + name, start, "joint before closing, at the commanded pose [rad or m]"
-            )
+        yield from self.postures.columns()
+        yield GraspColumn("width", grip.jaw_widths(self.scene.gripper, self.joints), grip.WIDTH_MEANING)
+        yield GraspColumn("grip_force", grip.grip_forces(self.contacts), grip.FORCE_MEANING)
         way, angle = self.motion.T
         yield GraspColumn("motion_mm", 1e3 * way, "way of the object in the hand while it closed [mm]")
         yield GraspColumn("motion_deg", np.degrees(angle), "its turn meanwhile [deg]")

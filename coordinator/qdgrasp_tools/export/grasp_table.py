@@ -142,6 +142,8 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     gripper_licence: str
     gripper_sha256: str
     """Digest of its part of a scene bundle."""
+    fixed_joints: dict[str, float] = {}
+    """Joints of the real hand that stood still, positions [rad or m]; named among the joints."""
     original_base: OriginalBase | UnsetType = UNSET
     """The base link of the hand's own URDF in `gripper_frame`, where that link was added to the hand.
 
@@ -277,9 +279,12 @@ class GraspTable:
         return len(self.poses)
 
     def with_metadata(self, about: GraspMetadata) -> "GraspTable":
-        """Return the table of a file of ours, with what its metadata says."""
+        """Return the table of a file of ours, with its metadata and only joints that move."""
+        moves = np.array([name not in about.fixed_joints for name in self.joint_names], dtype=bool)
         return replace(
             self,
+            joint_names=tuple(np.array(self.joint_names, dtype=str)[moves].tolist()),
+            pregrasp=None if self.pregrasp is None else self.pregrasp[:, moves],
             frame=about.frame,
             gripper=about.gripper,
             link=about.gripper_frame,
@@ -302,7 +307,9 @@ class RunTable(GraspTable):
     settled: Floats
     """(n, 7): the pose of the root link after closing; NaN where it was not recorded."""
     joints: NDArray[np.floating]
-    """(n, j): finger joints after closing [rad or m]."""
+    """(n, j): all joints after closing [rad or m]."""
+    squeeze: NDArray[np.floating]
+    """(n, j): targets with which the drives press as in the simulation [rad or m] (`squeeze_targets`)."""
     contacts: GraspContacts
     """Contacts after closing, points in `frame`."""
     columns: dict[str, GraspColumn]

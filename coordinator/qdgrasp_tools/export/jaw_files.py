@@ -38,6 +38,7 @@ SUCCESSES = "grasps/qualities/flex/object_in_gripper"
 MOTION = "grasps/qualities/flex/object_motion_during_closing"
 JOINTS, SYNERGIES = "gripper/joint_names", "gripper/synergy_names"
 STARTS, SYNERGY = "grasps/pregrasp_joint_positions", "grasps/synergy"
+OWN_COLUMNS = ("fitness", "eta", "trials", "penetration", "margin", "width", "grip_force")
 CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/about"
 
 
@@ -75,9 +76,10 @@ def _datasets(table: RunTable) -> dict[str, Any]:
         CONFIDENCE: table.confidence,
         "grasps/joint_positions": table.joints,
         STARTS: table.pregrasp,
+        "grasps/squeeze_joint_positions": table.squeeze,
         SYNERGY: table.synergy_labels,
         NUMBERS: table["number"],
-        **{f"qdgrasp/{name}": table[name] for name in ("fitness", "eta", "trials", "penetration", "margin")},
+        **{f"qdgrasp/{name}": table[name] for name in OWN_COLUMNS},
         "qdgrasp/outcome": table["outcome"].tolist(),
         "grasps/contact_links": contacts.links.astype(np.int16) - 1,
         "grasps/contact_points": contacts.points.astype(np.float32),
@@ -194,9 +196,12 @@ def _lists(table: RunTable) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]
         "eta": table["eta"].tolist(),
         "joint_positions": table.joints.tolist(),
         "pregrasp_joint_positions": table.pregrasp.tolist(),
+        "squeeze_joint_positions": table.squeeze.tolist(),
         "synergy": table.synergies.tolist(),
         "penetration": table["penetration"].tolist(),
         "margin": table["margin"].tolist(),
+        "width": table["width"].tolist(),
+        "grip_force": table["grip_force"].tolist(),
         "settled_transforms": _where_settled(table, table.jaw_matrices(table.settled).tolist()),
         "contacts": _where_settled(table, _contacts(table)),
     }

@@ -67,7 +67,7 @@ def _optional(values: NDArray[np.floating]) -> list[float | None]:
 
 def _extra_lists(table: RunTable) -> dict[str, Any]:
     """Return values without a place in the format, lists in the order of the grasps."""
-    names = ("fitness", "eta", "margin", "penetration")
+    names = ("fitness", "eta", "margin", "penetration", "width", "grip_force")
     lists: dict[str, Any] = {name: _optional(table[name]) for name in names}
     lists = {name: values for name, values in lists.items() if any(each is not None for each in values)}
     if (table.synergy_labels != NO_SYNERGY).any():
@@ -88,6 +88,7 @@ def write_isaac(path: Path, table: RunTable) -> None:
     names = {"object_frame": about.object, "gripper_frame": about.gripper_frame}
     kinds = ("", table.grasp_poses, table.joints), ("pregrasp_", table.poses, table.pregrasp)
     numbers = [(kind, _numbers(poses), _numbers(joints)) for kind, poses, joints in kinds]
+    targets = [dict(zip(table.joint_names, each, strict=True)) for each in _numbers(table.squeeze)]
     grasps = {}
     for place, (name, confidence) in enumerate(zip(table.names, _numbers(table.confidence), strict=True)):
         grasp = grasps[f"grasp_{name}"] = {"confidence": confidence}
@@ -98,6 +99,7 @@ def write_isaac(path: Path, table: RunTable) -> None:
                 f"{kind}orientation": {"w": qw, "xyz": [qx, qy, qz]},
                 f"{kind}cspace_position": dict(zip(table.joint_names, joints[place], strict=True)),
             }
+        grasp["squeeze_cspace_position"] = targets[place]
     head = {"format": FORMAT, "format_version": VERSION}
     head |= {f"{key}_link": name for key, name in names.items()} | names
     values = head | {"qdgrasp": about.values | {"grasps": _extra_lists(table)}, "grasps": grasps}
@@ -141,6 +143,7 @@ def write_moveit(path: Path, table: RunTable) -> None:
         for name, pose, start, closed, quality in zip(*columns, strict=True)
     ]
     lists = _extra_lists(table) | {"settled_poses": _numbers(table.grasp_poses)}
+    lists["squeeze_positions"] = _numbers(table.squeeze)
     path.write_text(
         to_yaml({"qdgrasp": about.values | {"grasps": lists}, "grasps": messages}), encoding="utf-8"
     )

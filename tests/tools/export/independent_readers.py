@@ -37,6 +37,8 @@ class Read:
     """(n,) each, by name, after closing."""
     starts: dict[str, np.ndarray]
     """(n,) each, before it."""
+    squeeze: dict[str, np.ndarray]
+    """(n,) each, targets that press."""
     penetration: np.ndarray
     about: Mapping[str, Any]
     """The metadata."""
@@ -83,6 +85,7 @@ def isaac(path: Path) -> Read:
         np.array([grasp["confidence"] for grasp in grasps]),
         joints(""),
         joints("pregrasp_"),
+        joints("squeeze_"),
         np.array(file["qdgrasp"]["grasps"]["penetration"]),
         file["qdgrasp"],
         file,
@@ -106,6 +109,7 @@ def acronym(path: Path) -> Read:
         every["grasps/qualities/flex/object_in_gripper"],
         columns(names, every["grasps/joint_positions"]),
         columns(names, every["grasps/pregrasp_joint_positions"]),
+        columns(names, every["grasps/squeeze_joint_positions"]),
         every["qdgrasp/penetration"],
         attributes | {"runs": json.loads(every["qdgrasp/about"])["runs"]},
         every,
@@ -145,6 +149,7 @@ def graspgen(path: Path) -> Read:
         np.array(file["grasps"]["object_in_gripper"]),
         columns(names, ours["joint_positions"]),
         columns(names, ours["pregrasp_joint_positions"]),
+        columns(names, ours["squeeze_joint_positions"]),
         np.array(ours["penetration"]),
         file["qdgrasp"],
         file,
@@ -166,7 +171,7 @@ def table_read(table: pandas.DataFrame, about: Mapping[str, Any], contacts: Any 
         numbers("confidence"),
         *(
             {name.removeprefix(begin): numbers(name) for name in table if name.startswith(begin)}
-            for begin in ("joint.", "pregrasp.")
+            for begin in ("joint.", "pregrasp.", "squeeze.")
         ),
         numbers("penetration"),
         about,
@@ -249,6 +254,7 @@ def moveit(path: Path) -> Read:
         np.array([message["grasp_quality"] for message in messages]),
         joints("grasp_posture"),
         joints("pre_grasp_posture"),
+        columns(messages[0]["grasp_posture"]["joint_names"], ours["squeeze_positions"]),
         np.array(ours["penetration"]),
         file["qdgrasp"],
         file,

@@ -69,6 +69,7 @@ class TestFormat:
         for place, joint in enumerate(("left", "right")):
             np.testing.assert_allclose(read.joints[joint], grasps.joints[:, place], rtol=1e-7)
             np.testing.assert_allclose(read.starts[joint], 0.04, rtol=1e-7)
+            np.testing.assert_array_equal(read.squeeze[joint], 0.0)  # `paper` closes all the way
         np.testing.assert_allclose(read.penetration, grasps.rows["penetration"], rtol=1e-7)
         recorded = grasps.rows["contact_points"].astype(float).reshape(len(grasps), -1, 7)
         for contacts, values in zip(read.contacts or (), recorded, strict=read.contacts is not None):
@@ -111,6 +112,11 @@ class TestFormat:
             return
         (spec,) = (from_toml(each["spec"]) for each in about["runs"])
         assert spec == msgspec.structs.replace(run.spec, gripper="hand.toml", object="block.stl")
+
+    def test_joints_of_the_real_hand_that_stand_still_are_named_too(self, make_run, tmp_path, name) -> None:
+        read = self.read(make_run(Outcome.HELD, gripper="allegro"), tmp_path / "out", name)
+        for joints in (read.starts, read.joints, read.squeeze):
+            np.testing.assert_allclose(joints["joint_12"], 1.396, rtol=1e-7)
 
     def test_the_same_run_gives_the_same_bytes(self, run, tmp_path, name) -> None:
         for out in ("one", "two"):
