@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap
 
 from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.geometry.object_surface import ObjectSurface
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.contact_niches import contact_niches
 from qdgrasp_coordinator.scheduler.run_plan import full_spec
@@ -77,6 +78,8 @@ class Racer:
         self._prior = prior_of(spec)
         began = process_time()
         self._search = method(spec.method).build(spec, search_space(evaluator.scene, self._prior))
+        if self._prior == "antipodal":  # each of its workers finds these, or a search does itself
+            _ = ObjectSurface(evaluator.scene).opposites
         self.seconds = process_time() - began
         self._generation = 0
         self._held = [np.zeros((0, 3), np.uint64)]  # Cell, contact niche and hundredth of a second of each
