@@ -149,6 +149,14 @@ def import_(
         str | None,
         typer.Option(help="Where poses are told, mesh or com; default: as the file says, else mesh."),
     ] = None,
+    flip_jaw: Annotated[
+        bool,
+        typer.Option(
+            "--flip-jaw",
+            help="For ACRONYM and GraspGen files whose jaw points the other way: turned by +90 degrees from "
+            "the link of a Panda, not by -90.",
+        ),
+    ] = False,
     anyway: Annotated[
         bool, typer.Option("--anyway", help="Take poses of a file that is of another hand or object.")
     ] = False,
@@ -172,7 +180,7 @@ def import_(
     with progress_messages() as tell:
         tell(f"reading {file}")
         hand = find_gripper(gripper).on_carrier("paper")
-        found = import_poses(file, hand, object_frame(object_, metres), told_in)
+        found = import_poses(file, hand, object_frame(object_, metres), told_in, flip_jaw=flip_jaw)
     if found.mismatches and not anyway:
         said = " ".join(found.mismatches)
         raise InputError(f"{said} Name the hand and object of '{file}', or add --anyway.")
@@ -193,7 +201,8 @@ def _conditions(found: "ImportedPoses", object_: str) -> Iterator[str]:
     if Path(object_).suffix or spec.mass is not None:
         yield from ("--mass", str(mass if Path(object_).suffix else spec.mass))
     friction = spec.friction if about else found.imported.friction
-    asked = {"protocol": spec.protocol, "base": spec.base, "engine": spec.engine, "friction": friction}
+    yield from ("--protocol", spec.protocol if about else "physical")
+    asked = {"base": spec.base, "engine": spec.engine, "friction": friction}
     for key, value in asked.items():
         if value not in (None, "paper"):
             yield from ("--set", f"{key}={value}")

@@ -55,6 +55,8 @@ class ExportFormat:
     """Failures that are written by default; None: the format has no place for them."""
     packages: tuple[str, ...] = ()
     """Packages of extras that write it."""
+    has_mesh: bool = False
+    """True: the object's mesh lies beside its file (`jaw_files.mesh_beside`)."""
 
     def failures(self, negatives: int | None) -> int:
         """Return how many failures are written at most, where so many are asked for."""
@@ -67,7 +69,7 @@ FORMATS = {
     each.name: each
     for each in (
         ExportFormat("isaac", ".yaml", yaml_files.write_isaac, default_failures=None),
-        ExportFormat("acronym", ".h5", jaw_files.write_acronym, packages=("h5py",)),
+        ExportFormat("acronym", ".h5", jaw_files.write_acronym, ALL_FAILURES, ("h5py",), has_mesh=True),
         ExportFormat("graspgen", "", jaw_files.write_graspgen, default_failures=ALL_FAILURES),
         ExportFormat("parquet", ".parquet", tabular.write_parquet, packages=("pyarrow",)),
         ExportFormat("webdataset", ".tar", tabular.write_tar),
@@ -141,7 +143,9 @@ class GraspWriter:
 
     def write_run(self, folder: RunFolder, output: Output, tell: Tell) -> str:
         """Write the grasps of a run to a file, or a folder of GraspGen; returns a sentence about it."""
-        output.check()
+        beside = OutFile(jaw_files.mesh_beside(output.path), force=output.force)
+        for each in (output, beside) if self.format.has_mesh else (output,):
+            each.check()
         tell(f"reading {folder.path}")
         with folder.journal() as journal:
             chosen = self.read(folder, journal)
@@ -156,6 +160,8 @@ class GraspWriter:
             metadata = grasp_metadata(chosen, self.frame, journal)
             with output.writing() as made:
                 self.format.write(made, chosen.grasps.table(self.frame, metadata))
+                if self.format.has_mesh:
+                    beside.write(jaw_files.mesh_file(chosen.grasps.scene.object, self.frame))
         note = f" But {NOT_SETTLED}." if metadata.settled == NOT_SETTLED else ""
         if self.choice.holds_in is not None:
             unknown = counted(chosen.unknown, "grasp")
@@ -275,6 +281,9 @@ class DatasetWriter:
         if form.suffix:
             made = [home / f"{run.name}{form.suffix}"]
             form.write(made[0], table)
+            if form.has_mesh:
+                made.append(jaw_files.mesh_beside(made[0]))
+                made[1].write_bytes(jaw_files.mesh_file(table.scene.object, table.frame))
         else:
             jaw_files.write_graspgen_object(home, run.name, table)
             ends = {jaw_files.DATA: "json", jaw_files.OBJECTS: "obj"}
@@ -341,7 +350,8 @@ format `$format`; docs/formats.md of qdgrasp explains it. Poses in a file of Par
 
 ## Licences
 
-Meshes are only named, with their digests; each keeps its own licence.
+Each mesh keeps its own licence. In the formats acronym and graspgen it lies beside the grasps; elsewhere it
+is only named, with its digest.
 
 | licence of the object | objects |
 |---|---|
@@ -389,8 +399,9 @@ def _head(data: DatasetWriter) -> dict[str, Any]:
             tables.setdefault(entry["gripper"], {})[entry["split"] or TRAIN] = pattern
     configs = [
         {"config_name": job_name(hand),
-         "data_files": [{"split": split, "path": path} for split, path in sorted(paths.items())]}
-        for hand, paths in sorted(tables.items())
+         "data_files": [{"split": split, "path": path} for split, path in sorted(paths.items())],
+         **({} if place else {"default": True})}
+        for place, (hand, paths) in enumerate(sorted(tables.items()))
     ]  # fmt: skip
     index = {"config_name": "index", "data_files": [{"split": "train", "path": INDEX}]}
     return {

@@ -62,14 +62,22 @@ def from_matrices(matrices: Floats) -> Floats:
     return np.hstack([matrices[:, :3, 3], from_frame(x, y, z)])
 
 
+NEGLIGIBLE = 1e-6  # Component of a unit vector that is taken for zero
+
+
 def jaw_turn(gripper: SceneGripper) -> Floats:
     """Rotation (4,), xyzw, from a hand's root link to axes with +z toward the object, x across.
 
-    x is the axis along which the two fingers of a jaw open; of a hand without a jaw it is the first of two
-    tangents to its approach axis (`rotation.tangents`), which is its own x if that axis is +z.
+    x is the axis along which the two fingers of a jaw open, in the sense whose first component that is not
+    zero is positive, or negative if that is y: the Panda's axes are turned by -90 degrees about z, as those
+    of ACRONYM and GraspGen are. Of a hand without a jaw it is the first of two tangents to its approach axis
+    (`rotation.tangents`), which is its own x if that axis is +z.
     """
     z = np.array([gripper.approach_axis])
-    x = np.array([gripper.jaw.axis]) if gripper.jaw else tangents(z)[0]
+    x = tangents(z)[0]
+    if gripper.jaw:
+        axis = np.array(gripper.jaw.axis)
+        x = axis[None] * next(np.sign(each) for each in axis * (1, -1, 1) if abs(each) > NEGLIGIBLE)
     return np.asarray(from_frame(x, np.cross(z, x), z)[0])
 
 

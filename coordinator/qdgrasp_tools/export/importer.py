@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.asset_paths import named_path
 from qdgrasp_assets.catalog import check_object, find_object, object_names
-from qdgrasp_assets.geometry.rotation import Floats, conjugate
+from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply
 from qdgrasp_assets.object_model import read_solid
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_coordinator.storage.outputs import OutFile
@@ -112,6 +112,7 @@ POSE_TOLERANCE = 1e-9  # Two lengths that differ by less are the same [m]
 VALUE_TOLERANCE = 1e-6  # Two scales that differ by a smaller share are the same
 SAME_OBJECT = 0.02
 """Difference of sides and centre of mass, as a share of the largest side, up to which two objects are one."""
+HALF_TURN = np.array([[0.0, 0.0, 1.0, 0.0]])  # Quaternion of 180 degrees about z
 MOST_SHOWN = 5  # Names in a note, at most
 
 
@@ -138,20 +139,28 @@ class ImportedPoses:
 
 
 def import_poses(
-    path: Path, hand: SceneGripper, body: ObjectFrame, frame: Frame | None = None
+    path: Path,
+    hand: SceneGripper,
+    body: ObjectFrame,
+    frame: Frame | None = None,
+    *,
+    flip_jaw: bool = False,
 ) -> ImportedPoses:
     """Read the grasps in a file as poses of a hand on an object.
 
-    `frame` is that of the object in which the file gives poses; None: as it says, or that of the mesh. Raises
-    UnreadableGrasps if the file cannot be read, says that poses are in another frame, or names synergies that
-    the hand does not have.
+    `frame` is that of the object in which the file gives poses; None: as it says, or that of the mesh. With
+    `flip_jaw` the axes of the jaw in the file are turned by 180 degrees about the approach against
+    `jaw_turn`. Raises UnreadableGrasps if the file cannot be read, says that poses are in another frame, or
+    names synergies that the hand does not have.
     """
     imported = read_grasp_file(path)
     metadata = imported.metadata
     if metadata and frame not in (None, metadata.frame):
         reason = f"it says that its poses are in the object's {metadata.frame} frame; leave --frame out"
         raise UnreadableGrasps(path, reason)
-    poses = _root_poses(imported, hand, body, frame)
+    if flip_jaw and not imported.has_jaw_axes:
+        raise UnreadableGrasps(path, "its axes are those of a link, not of a jaw; leave --flip-jaw out")
+    poses = _root_poses(imported, hand, body, frame, flip_jaw=flip_jaw)
     check_positions(path, imported.names, poses)
     unknown = np.full(len(imported), np.nan)  # the open posture
     columns = () if imported.pregrasp is None else imported.pregrasp.T
@@ -177,11 +186,14 @@ def import_poses(
     return ImportedPoses(arrays, tuple(notes), tuple(mismatches), imported)
 
 
-def _root_poses(imported: GraspTable, hand: SceneGripper, body: ObjectFrame, frame: Frame | None) -> Floats:
+def _root_poses(
+    imported: GraspTable, hand: SceneGripper, body: ObjectFrame, frame: Frame | None, *, flip_jaw: bool
+) -> Floats:
     """Return the poses (n, 7) of the root link, in the centre-of-mass frame."""
     poses = imported.poses
     if imported.has_jaw_axes:
-        poses = turn_hand_axes(poses, conjugate(jaw_turn(hand)[None])[0])
+        back = conjugate(jaw_turn(hand)[None])
+        poses = turn_hand_axes(poses, (multiply(HALF_TURN, back) if flip_jaw else back)[0])
     source = imported.frame or frame or MESH
     known = np.array(imported.metadata.com_in_mesh) if imported.metadata else body.com_in_mesh
     if source == COM and np.abs(known - body.com_in_mesh).max() < POSE_TOLERANCE:

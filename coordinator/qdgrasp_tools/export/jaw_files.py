@@ -2,8 +2,9 @@
 
 ACRONYM HDF5: Eppner et al. 2021, "ACRONYM: A Large-Scale Grasp Dataset Based on Simulation", and the data's
 own keys. In its simulation an open gripper closed at a transform, and the motion of the object meanwhile was
-recorded: `grasps/transforms` are the commanded poses. Joints, synergies, settled poses and the group
-`qdgrasp` are datasets of our own, which other readers pass over.
+recorded: `grasps/transforms` are the commanded poses. `object/file` and `object/scale` are those of a mesh
+that lies beside the file. Joints, synergies, settled poses and the group `qdgrasp` are datasets of our own,
+which other readers pass over; `grasps/contact_points` are what trainers for jaws add to such files.
 
 GraspGen: "GraspGen Grasp Dataset Format" and "GraspGen Gripper Description", v1.0.0. The folder has
 
@@ -11,11 +12,17 @@ GraspGen: "GraspGen Grasp Dataset Format" and "GraspGen Gripper Description", v1
 * `grasp_data/map_uuid_to_path.json` which object is in which file
 * `splits/train.txt`, `valid.txt`    the object, in both: there is one
 * `object_data/NAME.obj`             its mesh, in metres, in the frame of the transforms
+* `object_data/map_uuid_to_path.json` which object has which mesh
+* `grasp_shards`                     the same JSON in tar files, as `GraspWebDatasetReader` takes them
+
+A WebDataset's keys end at a point, so objects are called by their names without any (`_uuid`).
 """
 
 import json
+import tarfile
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +30,11 @@ import msgspec
 import numpy as np
 
 from qdgrasp_assets.geometry.mesh import parts_to_obj
+from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.scene import SceneObject
 from qdgrasp_tools.export.grasp_table import (
     CONTACT_FIELDS,
+    Frame,
     GraspMetadata,
     GraspTable,
     RunTable,
@@ -32,6 +42,7 @@ from qdgrasp_tools.export.grasp_table import (
     from_matrices,
     object_mesh,
 )
+from qdgrasp_tools.export.tabular import add_member
 
 TRANSFORMS = "grasps/transforms"
 SUCCESSES = "grasps/qualities/flex/object_in_gripper"
@@ -42,6 +53,16 @@ OWN_COLUMNS = ("fitness", "eta", "trials", "penetration", "margin", "width", "gr
 CONFIDENCE, NUMBERS, ABOUT = "grasps/confidence", "qdgrasp/number", "qdgrasp/about"
 
 
+def mesh_beside(path: Path) -> Path:
+    """Return where the mesh of a file of grasps lies."""
+    return path.with_name(f"{path.stem}-object.obj")
+
+
+def mesh_file(body: SceneObject, frame: Frame) -> bytes:
+    """Return the surface of an object, in metres in one of its frames, as an OBJ file."""
+    return parts_to_obj([object_mesh(body, frame)])
+
+
 def write_acronym(path: Path, table: RunTable) -> None:
     """Write grasps as an ACRONYM file."""
     import h5py
@@ -50,6 +71,7 @@ def write_acronym(path: Path, table: RunTable) -> None:
     with h5py.File(path, "w") as file:
         for name, value in _datasets(table).items():
             file[name] = value
+        file["object/file"] = mesh_beside(path).name
         file[ABOUT] = about.json
         for name, value in about.values.items():
             if name not in ("runs", "resting_poses"):  # HDF5 has no nested attributes
@@ -60,8 +82,7 @@ def _datasets(table: RunTable) -> dict[str, Any]:
     contacts, about = table.contacts, table.about
     hand, body = table.scene.gripper, object_mesh(table.scene.object, table.frame)
     found = {
-        "object/file": about.object_file or about.object,
-        "object/scale": about.object_scale,
+        "object/scale": 1.0,
         "object/mass": about.object_mass,
         "object/density": about.object_mass / body.volume,
         "object/friction": about.object_friction,
@@ -81,10 +102,10 @@ def _datasets(table: RunTable) -> dict[str, Any]:
         NUMBERS: table["number"],
         **{f"qdgrasp/{name}": table[name] for name in OWN_COLUMNS},
         "qdgrasp/outcome": table["outcome"].tolist(),
-        "grasps/contact_links": contacts.links.astype(np.int16) - 1,
-        "grasps/contact_points": contacts.points.astype(np.float32),
-        "grasps/contact_normals": contacts.normals.astype(np.float32),
-        "grasps/contact_forces": contacts.forces.astype(np.float32),
+        "qdgrasp/contact_links": contacts.links.astype(np.int16) - 1,
+        "qdgrasp/contact_points": contacts.points.astype(np.float32),
+        "qdgrasp/contact_normals": contacts.normals.astype(np.float32),
+        "qdgrasp/contact_forces": contacts.forces.astype(np.float32),
         "gripper/type": hand.name,
         "gripper/link_names": list(hand.links) or np.zeros(0, "S1"),
         JOINTS: list(table.joint_names),
@@ -92,6 +113,7 @@ def _datasets(table: RunTable) -> dict[str, Any]:
     }
     if hand.jaw:
         found["gripper/configuration"] = np.array([hand.jaw.opening / 2])
+        found["grasps/contact_points"] = contact_pairs(table)
     if table.approach is not None:
         found["grasps/approach_transforms"] = table.jaw_matrices(table.approach)
         found["grasps/approach_directions"] = np.column_stack([table[f"approach_{axis}"] for axis in "xyz"])
@@ -136,8 +158,9 @@ def read_acronym(path: Path) -> GraspTable:
     return table if about is None else table.with_metadata(msgspec.json.decode(about, type=GraspMetadata))
 
 
-INDEX_FILE = "map_uuid_to_path.json"
-DATA, SPLITS, OBJECTS = "grasp_data", "splits", "object_data"
+INDEX_FILE, SHARD_INDEX = "map_uuid_to_path.json", "uuid_index.json"
+DATA, SPLITS, OBJECTS, SHARDS = "grasp_data", "splits", "object_data", "grasp_shards"
+SHARD_OBJECTS = 32  # Objects in a shard, which its reader goes through from the beginning for each
 BASE_OFFSET = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """Offset of GraspGen's axes from those of the transforms, xyz [m] and xyzw: zero."""
 
@@ -165,30 +188,40 @@ def write_graspgen_object(path: Path, name: str, table: RunTable) -> None:
     for folder in (DATA, OBJECTS):
         (path / folder).mkdir(exist_ok=True)
     (path / DATA / f"{name}.json").write_bytes(msgspec.json.encode(whole))
-    mesh = object_mesh(table.scene.object, table.frame)
-    (path / OBJECTS / f"{name}.obj").write_bytes(parts_to_obj([mesh]))
+    (path / OBJECTS / f"{name}.obj").write_bytes(mesh_file(table.scene.object, table.frame))
 
 
 def write_graspgen_index(path: Path, objects: Mapping[str, Iterable[str]]) -> None:
-    """Write the lists of a folder: objects with the splits that they are in."""
-    (path / SPLITS).mkdir(exist_ok=True)
-    files = {f"{name}.obj": f"{name}.json" for name in objects}
-    (path / DATA / INDEX_FILE).write_bytes(msgspec.json.encode(files))
+    """Write the lists and shards of a folder: objects with the splits that they are in."""
+    for folder in (SPLITS, SHARDS):
+        (path / folder).mkdir(exist_ok=True)
+    for folder, end in ((DATA, "json"), (OBJECTS, "obj")):
+        files = {_uuid(name): f"{name}.{end}" for name in objects}
+        (path / folder / INDEX_FILE).write_bytes(msgspec.json.encode(files))
     for split in sorted({"train", "valid"}.union(*objects.values())):
-        names = [f"{name}.obj\n" for name, splits in objects.items() if split in splits]
+        names = [f"{_uuid(name)}\n" for name, splits in objects.items() if split in splits]
         (path / SPLITS / f"{split}.txt").write_text("".join(names), encoding="utf-8")
+    shards = {name: place // SHARD_OBJECTS for place, name in enumerate(objects)}
+    index = {_uuid(name): shard for name, shard in shards.items()}
+    (path / SHARDS / SHARD_INDEX).write_bytes(msgspec.json.encode(index))
+    for shard, some in groupby(shards, shards.__getitem__):
+        with tarfile.open(path / SHARDS / f"shard_{shard:03}.tar", "w") as tar:
+            for name in some:
+                add_member(tar, f"{_uuid(name)}.grasps.json", (path / DATA / f"{name}.json").read_bytes())
+
+
+def _uuid(name: str) -> str:
+    """Return an object's name without points."""
+    return name.replace(".", "%2E")
 
 
 def is_graspgen(path: Path) -> bool:
     """Return whether a folder is one for GraspGen."""
-    return (path / DATA / INDEX_FILE).is_file() and {p.name for p in path.iterdir()} == {
-        DATA,
-        SPLITS,
-        OBJECTS,
-    }
+    folders = {DATA, SPLITS, OBJECTS, SHARDS}
+    return (path / DATA / INDEX_FILE).is_file() and {p.name for p in path.iterdir()} == folders
 
 
-def _lists(table: RunTable) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]:
+def _lists(table: RunTable) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Return the format's lists and ours, with an item for each grasp."""
     ours: dict[str, list[Any]] = {
         "number": table["number"].tolist(),
@@ -212,7 +245,29 @@ def _lists(table: RunTable) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]
         ours["resting_poses"] = table.resting_poses
         ours["resting_probability"] = table["resting_probability"].tolist()
     poses = table.jaw_matrices(table.poses).tolist()
-    return {"transforms": poses, "object_in_gripper": table.is_grasp.tolist()}, ours
+    grasps = {"transforms": poses, "object_in_gripper": table.is_grasp.tolist()}
+    if table.scene.gripper.jaw and table.scene.contact_slots:
+        pairs = json.dumps(contact_pairs(table).tolist())  # with NaN, as its reader knows what is missing
+        grasps["contact_locations"] = msgspec.Raw(pairs.encode())
+    return grasps, ours
+
+
+def contact_pairs(table: RunTable) -> Floats:
+    """Return the strongest contacts (n, 2, 3) of both fingers of a jaw [m].
+
+    First is that at -x of the jaw's axes. NaN: a finger has none.
+    """
+    links, points, normals, forces = table.contacts
+    across = table.jaw_matrices(table.settled)[:, None, :3, 0]
+    fingers = [place for place, name in enumerate(table.scene.gripper.links, 1)
+               if name in table.scene.gripper.finger_links]  # fmt: skip
+    sides = np.where(np.isin(links, fingers), (normals * across).sum(axis=2), 0.0)
+    pairs = np.full((len(links), 2, 3), np.nan)
+    for finger, sense in enumerate((1.0, -1.0)):
+        pressing = np.where(sense * sides > 0.0, forces, -1.0)
+        for grasp in np.flatnonzero((pressing >= 0.0).any(axis=1)):
+            pairs[grasp, finger] = points[grasp, pressing[grasp].argmax()]
+    return pairs
 
 
 def _where_settled(table: RunTable, values: list[Any]) -> list[Any]:

@@ -4,6 +4,7 @@ Lines of CSV that begin with # are metadata. Parquet keeps every bit, and is rea
 """
 
 import io
+import json
 import tarfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -28,7 +29,7 @@ from qdgrasp_tools.export.grasp_table import (
     exact_decimals,
 )
 
-SAMPLE_ROWS = 8192  # Grasps in a sample of a tar file
+SAMPLE_ROWS = 8192  # Grasps that are made into a table of Arrow at once
 PREGRASP = "pregrasp."  # Prefix of columns of joints before closing; the joint's name follows
 CONTACTS, POSE_COLUMN, METADATA_KEY = "contact_points", "base_to_object", "qdgrasp"
 SAME_MEANINGS = {
@@ -127,26 +128,43 @@ def _contact_lists(table: RunTable) -> Any:
 
 
 def write_tar(path: Path, table: RunTable) -> None:
-    """Write grasps as samples in a tar file, KEY.json and KEY.npz, as WebDataset reads them.
+    """Write each grasp as a sample in a tar file, as WebDataset reads them.
 
-    A sample is some thousand grasps. The arrays of KEY.npz are the columns of the table, each (n,),
-    `base_to_object` (n, 7), and contacts in k slots each: `contact_links` (n, k) with places in `links` of
-    KEY.json, -1 for none, `contact_points`, `contact_normals` (n, k, 3), `contact_forces` (n, k).
+    KEY.json has the columns of the table, and what all grasps have in common; missing numbers are NaN.
+    Beside it are arrays of numpy, float32: poses KEY.commanded.npy and KEY.settled.npy (7,), joints
+    KEY.pregrasp.npy, KEY.joints.npy and KEY.squeeze.npy (j,), and contacts in k slots KEY.contacts.npy
+    (k, 8): the place of the link in `links` of the metadata, -1 for none, point, normal and force. The
+    metadata are a header of the tar file.
     """
-    arrays: dict[str, NDArray[np.generic]] = {POSE_COLUMN: table.base_to_object}
-    arrays |= {column.name: column.values for column in table.columns.values()}
-    arrays["contact_links"] = table.contacts.links.astype(np.int16) - 1
-    for name in ("points", "normals", "forces"):
-        arrays[f"contact_{name}"] = getattr(table.contacts, name).astype(np.float32)
-    words = msgspec.json.encode(table.about.values | table.same | {"links": table.scene.gripper.links})
-    with tarfile.open(path, "w", format=tarfile.PAX_FORMAT) as tar:
-        for first in range(0, len(table), SAMPLE_ROWS):
-            packed, part = io.BytesIO(), slice(first, first + SAMPLE_ROWS)
-            np.savez_compressed(packed, allow_pickle=False, **{k: v[part] for k, v in arrays.items()})
-            for suffix, payload in (("json", words), ("npz", packed.getvalue())):
-                member = tarfile.TarInfo(f"{table['run'][0]}-{first // SAMPLE_ROWS:06}.{suffix}")
-                member.size = len(payload)
-                tar.addfile(member, io.BytesIO(payload))
+    contacts, names = table.contacts, list(table.columns)
+    slots = (contacts.links[..., None] - 1.0, contacts.points, contacts.normals, contacts.forces[..., None])
+    arrays = {
+        "commanded": table.poses,
+        "settled": table.settled,
+        "pregrasp": table.pregrasp,
+        "joints": table.joints,
+        "squeeze": table.squeeze,
+        "contacts": np.concatenate(slots, axis=2),
+    }
+    columns = zip(*(table[name].tolist() for name in names), strict=True)
+    words = msgspec.json.encode(table.about.values | {"links": table.scene.gripper.links}).decode()
+    run = str(table["run"][0]).replace(".", "%2E")  # a key ends at the first point
+    with tarfile.open(path, "w", format=tarfile.PAX_FORMAT, pax_headers={METADATA_KEY: words}) as tar:
+        for place, values in enumerate(columns):
+            key = f"{run}-{table.names[place]}"
+            grasp = table.same | dict(zip(names, values, strict=True))
+            add_member(tar, f"{key}.json", json.dumps(grasp, ensure_ascii=False).encode())
+            for name, array in arrays.items():
+                packed = io.BytesIO()
+                np.save(packed, array[place].astype(np.float32), allow_pickle=False)
+                add_member(tar, f"{key}.{name}.npy", packed.getvalue())
+
+
+def add_member(tar: tarfile.TarFile, name: str, payload: bytes) -> None:
+    """Add a file without a date to a tar file."""
+    member = tarfile.TarInfo(name)
+    member.size = len(payload)
+    tar.addfile(member, io.BytesIO(payload))
 
 
 def read_parquet(path: Path) -> GraspTable:

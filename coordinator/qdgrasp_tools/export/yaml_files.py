@@ -3,7 +3,8 @@
 An Isaac file is for one hand and one object, joints by name. Public descriptions: Isaac Sim, "Grasp Editor"
 (keys `object_frame_link`, `gripper_frame_link`), and Isaac ROS, "Isaac Grasp File" (`object_frame`,
 `gripper_frame`); files here have both. Readers of either take the poses from `grasps` and pass over what they
-do not know, such as the block `qdgrasp`.
+do not know, such as the block `qdgrasp`. GraspDataGen's files have `object_file`, `object_scale` and
+`gripper_file` too, which its converter for GraspGen asks for.
 
 Isaac Sim replicates a grasp from `position`, `orientation` and `cspace_position`: they are the settled pose
 and the joints after closing. The commanded pose, which goes with `pregrasp_cspace_position`, has keys of our
@@ -15,6 +16,7 @@ comes with `pre_grasp_posture` and where it closes. Messages have no place for t
 block `qdgrasp`. Approach and retreat, along the hand's own approach axis, are suggestions.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_protocol.rows import NO_SYNERGY
+from qdgrasp_assets.grippers.hand_model import followers
+from qdgrasp_assets.grippers.urdf import scene_robot
+from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_protocol.rows import DISTURBANCES, JAW_PRELOAD, NO_SYNERGY, nominal_protocol
 from qdgrasp_tools.export.grasp_table import (
     GraspMetadata,
     GraspTable,
@@ -102,13 +107,19 @@ def write_isaac(path: Path, table: RunTable) -> None:
         grasp["squeeze_cspace_position"] = targets[place]
     head = {"format": FORMAT, "format_version": VERSION}
     head |= {f"{key}_link": name for key, name in names.items()} | names
+    head |= {"object_file": about.object_file or f"{about.object}.obj", "object_scale": about.object_scale}
+    head["gripper_file"] = f"{about.gripper}.urdf"
     values = head | {"qdgrasp": about.values | {"grasps": _extra_lists(table)}, "grasps": grasps}
     path.write_text(to_yaml(values), encoding="utf-8")
 
 
 def write_moveit(path: Path, table: RunTable) -> None:
     """Write grasps as a YAML list of MoveIt's messages."""
-    about, hand, names = table.about, table.scene.gripper, list(table.joint_names)
+    about, hand, following = table.about, table.scene.gripper, following_joints(table.scene.gripper)
+    places = [place for place, name in enumerate(table.joint_names) if name not in following]
+    names = [table.joint_names[place] for place in places]
+    drives = grip_efforts(table.scene)
+    effort = [drives.get(name, 0.0) for name in names]
     way = about.approach_distance or hand.reach
     moves = {
         name: {
@@ -122,12 +133,13 @@ def write_moveit(path: Path, table: RunTable) -> None:
             ("post_place_retreat", -np.array(hand.approach_axis) + 0.0),
         )
     }
-    columns = (table.names, table.poses, table.pregrasp, table.joints, _numbers(table.confidence))
+    postures = (table.pregrasp[:, places], table.joints[:, places])
+    columns = (table.names, table.poses, *postures, _numbers(table.confidence))
     messages = [
         {
             "id": f"grasp_{name}",
             "pre_grasp_posture": _posture(names, start),
-            "grasp_posture": _posture(names, closed),
+            "grasp_posture": _posture(names, closed, effort),
             "grasp_pose": {
                 "header": _header(about.object),
                 "pose": {
@@ -143,10 +155,31 @@ def write_moveit(path: Path, table: RunTable) -> None:
         for name, pose, start, closed, quality in zip(*columns, strict=True)
     ]
     lists = _extra_lists(table) | {"settled_poses": _numbers(table.grasp_poses)}
-    lists["squeeze_positions"] = _numbers(table.squeeze)
+    lists["squeeze_positions"] = _numbers(table.squeeze[:, places])
     path.write_text(
         to_yaml({"qdgrasp": about.values | {"grasps": lists}, "grasps": messages}), encoding="utf-8"
     )
+
+
+def grip_efforts(scene: Scene) -> dict[str, float]:
+    """Return the effort with which each drive of a hand closes in its protocol [N or Nm]."""
+    hand = scene.gripper
+    if nominal_protocol(scene.protocol, scene.base) not in DISTURBANCES:
+        return {joint.name: joint.effort for joint in hand.joints}
+    share = JAW_PRELOAD if hand.jaw else 1.0
+    return {joint.name: share * (joint.rated_effort or joint.effort) for joint in hand.joints}
+
+
+def following_joints(hand: SceneGripper) -> set[str]:
+    """Return the joints of a hand that have no drive of their own.
+
+    Those of a jaw move together, and follow the first; others follow where the URDF says that they mimic.
+    """
+    following = set(followers(scene_robot(hand)))
+    if hand.jaw:
+        driven = [joint.name for joint in hand.joints if joint.driven and joint.opened != joint.closed]
+        following = {*following, *driven[1:]} - {*driven[:1]}
+    return following
 
 
 def _header(frame: str) -> dict[str, Any]:
@@ -157,10 +190,10 @@ def _xyz(vector: NDArray[np.floating]) -> dict[str, float]:
     return dict(zip("xyz", _numbers(vector), strict=True))
 
 
-def _posture(names: list[str], positions: NDArray[np.floating]) -> dict[str, Any]:
+def _posture(names: list[str], positions: NDArray[np.floating], effort: Sequence[float] = ()) -> Any:
     """Return a trajectory_msgs/msg/JointTrajectory of one point."""
-    none: dict[str, Any] = {name: [] for name in ("velocities", "accelerations", "effort")}
-    point = {"positions": _numbers(positions), **none, "time_from_start": {"sec": 0, "nanosec": 0}}
+    point: dict[str, Any] = {"positions": _numbers(positions), "velocities": [], "accelerations": []}
+    point |= {"effort": list(effort), "time_from_start": {"sec": 0, "nanosec": 0}}
     return {"header": _header(""), "joint_names": names, "points": [point]}
 
 

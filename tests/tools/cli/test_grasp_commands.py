@@ -50,7 +50,7 @@ def test_the_command_writes_poses_for_evaluate_and_says_how_to_score_them(tmp_pa
     scores = tmp_path / "poses-scores.npz"
     assert done.stdout.splitlines() == [
         f"1 pose written to {out}; this scores them:",
-        f"  qdgrasp evaluate --gripper panda --object mug --poses {out} --out {scores}",
+        f"  qdgrasp evaluate --gripper panda --object mug --protocol physical --poses {out} --out {scores}",
     ]
     expected = POSITION - object_frame("mug").com_in_mesh
     np.testing.assert_allclose(read_poses(out).positions, [expected], atol=1e-7)
@@ -60,6 +60,12 @@ def test_what_a_file_says_of_a_mesh_is_in_the_command_that_scores_it(tmp_path: P
     trimesh.creation.box((0.04, 0.05, 0.06)).export(tmp_path / "box.stl")
     acronym(tmp_path / "f.h5", [matrix()], object__mass=0.25, object__friction=1.0)
     asked = ("--gripper", "panda", "--object", tmp_path / "box.stl", "-o", tmp_path / "p.npz")
-    assert "--mass 0.25 --set friction=1.0 --poses" in command(tmp_path / "f.h5", *asked).stdout
+    assert (
+        "--mass 0.25 --protocol physical --set friction=1.0 --poses"
+        in command(tmp_path / "f.h5", *asked).stdout
+    )
     (tmp_path / "f.yaml").write_text(ISAAC)
-    assert "box.stl --mass KG --poses" in command(tmp_path / "f.yaml", *asked, "--force").stdout
+    assert (
+        "box.stl --mass KG --protocol physical --poses"
+        in command(tmp_path / "f.yaml", *asked, "--force").stdout
+    )

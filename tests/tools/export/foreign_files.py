@@ -15,7 +15,7 @@ from qdgrasp_tools.export.jaw_files import DATA, INDEX_FILE
 
 COM = np.array([0.01, 0.02, 0.03])
 POSITION, TURN = [0.1, -0.2, 0.3], Rotation.from_euler("xyz", [20, -50, 130], degrees=True)
-ACROSS = Rotation.from_euler("z", 90, degrees=True)
+ACROSS = Rotation.from_euler("z", -90, degrees=True)
 ISAAC = """format: isaac_grasp
 format_version: 1.0
 object_frame_link: /World/mug

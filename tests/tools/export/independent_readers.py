@@ -13,6 +13,8 @@ import h5py
 import numpy as np
 import pandas
 import pyarrow.parquet
+import pytest
+import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
@@ -102,7 +104,7 @@ def acronym(path: Path) -> Read:
         attributes = dict(file["qdgrasp"].attrs)
     names = [name.decode() for name in every["gripper/joint_names"]]
     links = [name.decode() for name in every["gripper/link_names"]]
-    numbers = [every[f"grasps/contact_{kind}"] for kind in ("points", "normals", "forces")]
+    numbers = [every[f"qdgrasp/contact_{kind}"] for kind in ("points", "normals", "forces")]
     return Read(
         every["grasps/transforms"],
         every["grasps/settled_transforms"],
@@ -113,7 +115,7 @@ def acronym(path: Path) -> Read:
         every["qdgrasp/penetration"],
         attributes | {"runs": json.loads(every["qdgrasp/about"])["runs"]},
         every,
-        slots(links, every["grasps/contact_links"], *numbers),
+        slots(links, every["qdgrasp/contact_links"], *numbers),
     )
 
 
@@ -139,9 +141,12 @@ def graspgen(path: Path) -> Read:
     """GraspGen dataset format v1.0.0: an object of a split, found in the index, and its JSON."""
     (uuid,) = (path / "splits" / "train.txt").read_text().split()
     assert (path / "splits" / "valid.txt").read_text().split() == [uuid]
-    index = json.loads((path / "grasp_data" / "map_uuid_to_path.json").read_text())
+    index, meshes = (
+        json.loads((path / folder / "map_uuid_to_path.json").read_text())
+        for folder in ("grasp_data", "object_data")
+    )
     file = json.loads((path / "grasp_data" / index[uuid]).read_text())
-    assert file["object"]["file"] == uuid
+    assert file["object"]["file"] == meshes[uuid]
     ours, names = file["qdgrasp"]["grasps"], file["qdgrasp"]["joint_names"]
     return Read(
         np.array(file["grasps"]["transforms"]),
@@ -155,6 +160,45 @@ def graspgen(path: Path) -> Read:
         file,
         mappings(ours["contacts"]),
     )
+
+
+def graspgen_shards(path: Path) -> dict[str, Any]:
+    """GraspGen's reader of WebDataset shards: objects by uuid, with the JSON of each."""
+    webdataset = pytest.importorskip("webdataset", reason="its own reader is not installed")
+    found = {}
+    for uuid, shard in json.loads((path / "uuid_index.json").read_text()).items():
+        samples = webdataset.WebDataset(str(path / f"shard_{shard:03d}.tar"), shardshuffle=False)
+        (found[uuid],) = (json.loads(each["grasps.json"]) for each in samples if each["__key__"] == uuid)
+    return found
+
+
+def graspgen_contacts(file: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Its grasps that hold and have two contacts: transforms (n, 4, 4) and contacts (n, 2, 3)."""
+    holds = np.array(file["grasps"]["object_in_gripper"])
+    contacts = np.array(file["grasps"]["contact_locations"])[holds]
+    known = ~np.isnan(contacts).any(axis=(1, 2))
+    return np.array(file["grasps"]["transforms"])[holds][known], contacts[known]
+
+
+def acronym_mesh(path: Path) -> trimesh.Trimesh:
+    """ACRONYM's own tools: the file that `object/file` names below a root, times `object/scale`."""
+    with h5py.File(path) as file:
+        name, scale = file["object/file"][()].decode(), file["object/scale"][()]
+    return trimesh.load_mesh(path.parent / name).apply_scale(scale)
+
+
+def graspdatagen(path: Path) -> dict[str, Any]:
+    """GraspDataGen's converter of Isaac YAML into JSON of GraspGen: the keys that it reads."""
+    file = yaml.safe_load(path.read_text())
+    poses = [
+        [*e["position"], *e["orientation"]["xyz"], e["orientation"]["w"]] for e in file["grasps"].values()
+    ]
+    return {
+        "object": {"file": file["object_file"], "scale": file["object_scale"]},
+        "gripper": file["gripper_file"],
+        "transforms": homogeneous(poses),
+        "object_in_gripper": [each["confidence"] > 0.0 for each in file["grasps"].values()],
+    }
 
 
 def table_read(table: pandas.DataFrame, about: Mapping[str, Any], contacts: Any = None) -> Read:
@@ -200,15 +244,15 @@ def webdataset(path: Path) -> Read:
     """WebDataset: members of a tar, grouped to samples by what stands before the first point."""
     samples: dict[str, dict[str, Any]] = {}
     with tarfile.open(path) as tar:
+        about = json.loads(tar.pax_headers["qdgrasp"])
         for member in tar:
             key, _, suffix = member.name.partition(".")
             samples.setdefault(key, {})[suffix] = tar.extractfile(member).read()
-    parts = [np.load(io.BytesIO(sample["npz"]), allow_pickle=False) for sample in samples.values()]
-    every = {name: np.concatenate([part[name] for part in parts]) for name in parts[0].files}
-    about = json.loads(next(iter(samples.values()))["json"])
-    table = pandas.DataFrame({name: values for name, values in every.items() if values.ndim == 1})
-    numbers = [every[f"contact_{kind}"] for kind in ("points", "normals", "forces")]
-    return table_read(table, about, slots(about["links"], every["contact_links"], *numbers))
+    table = pandas.DataFrame([json.loads(sample["json"]) for sample in samples.values()])
+    arrays = [np.load(io.BytesIO(sample["contacts.npy"]), allow_pickle=False) for sample in samples.values()]
+    links, points, normals, forces = np.split(np.array(arrays), (1, 4, 7), axis=2)
+    places = links[..., 0].astype(int)
+    return table_read(table, about, slots(about["links"], places, points, normals, forces[..., 0]))
 
 
 HEADER = {"stamp": {"sec": int, "nanosec": int}, "frame_id": str}

@@ -55,7 +55,8 @@ def counts(folder: Path, name: str) -> dict[str, int]:
     """The number of grasps of each run, as other readers have them."""
     index = pandas.read_csv(folder / "index.csv").set_index("run")
     if name != "graspgen":
-        return {run: len(READERS[name](folder / file).quality) for run, file in index.files.items()}
+        read = {run: READERS[name](folder / files.split()[0]) for run, files in index.files.items()}
+        return {run: int((file.quality > 0).sum()) for run, file in read.items()}
     first = {run: folder / files.split()[0] for run, files in index.files.items()}
     return {
         run: sum(json.loads(path.read_text())["grasps"]["object_in_gripper"]) for run, path in first.items()

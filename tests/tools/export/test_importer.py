@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.tools.export.foreign_files import (
+    ACROSS,
     COM,
     ISAAC,
+    TURN,
     acronym,
     check_pose,
     check_refusal,
@@ -64,6 +66,14 @@ TRANSFORMS = {"transforms": [matrix().tolist()]}
 def test_json_is_read(panda, tmp_path: Path, told: dict[str, object]) -> None:
     (tmp_path / "f.json").write_text(json.dumps(told))
     check_pose(panda(tmp_path / "f.json"))
+
+
+def test_the_jaw_of_a_file_may_point_the_other_way(panda, tmp_path: Path) -> None:
+    acronym(tmp_path / "f.h5", [matrix(TURN * ACROSS.inv())])
+    check_pose(panda(tmp_path / "f.h5", flip_jaw=True))
+    (tmp_path / "f.yaml").write_text(ISAAC)
+    with pytest.raises(InputError, match="leave --flip-jaw out"):
+        panda(tmp_path / "f.yaml", flip_jaw=True)
 
 
 TAKEN = "they are taken for those of link 'panda_hand' of gripper 'panda'."

@@ -75,5 +75,6 @@ def test_matrices_keep_poses_to_a_micrometre_and_a_microradian(evaluated_run, tm
 @pytest.mark.slow
 def test_poses_that_came_through_matrices_have_the_same_outcomes(evaluated_run, tmp_path) -> None:
     genomes = there_and_back(evaluated_run, "acronym", tmp_path)
-    before, after = successes(evaluated_run), evaluate_given(evaluated_run.scene(), genomes)
+    before = successes(evaluated_run)
+    after = evaluate_given(evaluated_run.scene(), genomes[: len(before)])
     assert np.mean(before["outcome"] == after["outcome"]) >= 0.99
