@@ -34,7 +34,11 @@ def export(
     ],
     name: Annotated[
         str,
-        typer.Option("--format", help="One of isaac, acronym, graspgen, parquet, webdataset, moveit, csv."),
+        typer.Option(
+            "--format",
+            help="One of isaac, acronym, graspgen, parquet, webdataset, moveit, csv, dexgraspbench, "
+            "molmospaces, curobo.",
+        ),
     ],
     out: Annotated[
         Path,
@@ -42,7 +46,7 @@ def export(
             "--out",
             "-o",
             metavar="OUT",
-            help="The file; for graspgen and several runs a folder.",
+            help="The file; for graspgen, dexgraspbench and several runs a folder.",
         ),
     ],
     min_fitness: Annotated[

@@ -18,7 +18,7 @@ from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ENGINES, ObjectRecord
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.export import jaw_files, tabular, yaml_files
+from qdgrasp_tools.export import arrays, jaw_files, tabular, yaml_files
 from qdgrasp_tools.export.grasp_reader import (
     ALL_FAILURES,
     ALL_GRASPS,
@@ -75,8 +75,16 @@ FORMATS = {
         ExportFormat("webdataset", ".tar", tabular.write_tar),
         ExportFormat("moveit", ".yaml", yaml_files.write_moveit, default_failures=None),
         ExportFormat("csv", ".csv", tabular.write_csv),
+        ExportFormat("molmospaces", ".npz", arrays.write_molmospaces, default_failures=None),
+        ExportFormat("curobo", ".npz", arrays.write_curobo, default_failures=None),
+        ExportFormat("dexgraspbench", "", arrays.write_dexgraspbench, default_failures=None),
     )
 }
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether a folder is one of a format."""
+    return {each.name for each in path.iterdir()} in (jaw_files.FOLDERS, arrays.FOLDERS)
 
 
 def format_of(name: str) -> ExportFormat:
@@ -112,7 +120,7 @@ def export_grasps(
     if isinstance(source, RunFolder):
         single: Output = OutFile(out, force=force)
         if not form.suffix:
-            single = OutFolder(out, force=force, is_kind=jaw_files.is_graspgen)
+            single = OutFolder(out, force=force, is_kind=is_folder)
         return writer.write_run(source, single, tell)
     output = OutFolder(out, force=force, is_kind=is_dataset)
     with output.writing() as made:
@@ -278,7 +286,7 @@ class DatasetWriter:
             return []
         home.mkdir(parents=True, exist_ok=True)
         table = chosen.grasps.table(self.writer.frame, metadata)
-        if form.suffix:
+        if form.name != "graspgen":
             made = [home / f"{run.name}{form.suffix}"]
             form.write(made[0], table)
             if form.has_mesh:
@@ -298,7 +306,7 @@ class DatasetWriter:
                 number, first = counted(len(self.left_out), "run"), next(iter(self.left_out.values()))
                 why = f": {number} could not be read, the first: {first}"
             raise FolderError(f"There is no grasp to write{why}")
-        if not self.writer.format.suffix:
+        if self.writer.format.name == "graspgen":
             self._write_graspgen_lists()
         (self.path / INDEX).write_text(csv_text(self.entries, list(self.entries[0])), encoding="utf-8")
         text, words = card_text(self)
@@ -350,8 +358,8 @@ format `$format`; docs/formats.md of qdgrasp explains it. Poses in a file of Par
 
 ## Licences
 
-Each mesh keeps its own licence. In the formats acronym and graspgen it lies beside the grasps; elsewhere it
-is only named, with its digest.
+Each mesh keeps its own licence. In the formats acronym, graspgen and dexgraspbench it lies with
+the grasps; elsewhere it is only named, with its digest.
 
 | licence of the object | objects |
 |---|---|

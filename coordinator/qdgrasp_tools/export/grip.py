@@ -17,7 +17,13 @@ from qdgrasp_protocol.rows import DISTURBANCES, JAW_PRELOAD, SLIDING_LAG, TURNIN
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.export.grasp_table import GraspColumn, GraspContacts
 
-JOINT, PREGRASP, SQUEEZE = "joint.", "pregrasp.", "squeeze."  # Prefixes of columns; a joint's name follows
+JOINT_MEANINGS = {
+    "pregrasp.": "joint before closing, at the commanded pose [rad or m]",
+    "joint.": "joint after closing, at the settled pose [rad or m]",
+    "squeeze.": "target with which its drive presses [rad or m]",
+}
+"""Meanings of columns by their prefixes, which the joint's name follows."""
+Positions = NDArray[np.float32]  # (n, j)
 WIDTH_MEANING = "distance between the tips of the jaw after closing [m]; none: there is no jaw"
 FORCE_MEANING = "half the normal forces of its contacts, of a jaw that of each finger [N]; none: not known"
 
@@ -26,30 +32,22 @@ class Postures(NamedTuple):
     """Every joint of a hand at n grasps [rad or m], fixed ones behind those that move."""
 
     names: tuple[str, ...]
-    """(j,)"""
-    pregrasp: NDArray[np.float32]
+    pregrasp: Positions
     """(n, j): before closing, at the commanded pose."""
-    joints: NDArray[np.float32]
+    joints: Positions
     """(n, j): after closing, at the settled pose."""
-    squeeze: NDArray[np.float32]
+    squeeze: Positions
     """(n, j): targets of drives that press as the protocol's do (`squeeze_targets`)."""
 
     def columns(self) -> Iterator[GraspColumn]:
         """Yield each joint's values as columns."""
-        for name, start, joint, target in zip(self.names, *(values.T for values in self[1:]), strict=True):
-            yield GraspColumn(JOINT + name, joint, "joint after closing, at the settled pose [rad or m]")
-            yield GraspColumn(
-                PREGRASP + name, start, "joint before closing, at the commanded pose [rad or m]"
-            )
-            yield GraspColumn(SQUEEZE + name, target, "target with which its drive presses [rad or m]")
+        for name, *values in zip(self.names, *(each.T for each in self[1:]), strict=True):
+            for (begin, meaning), each in zip(JOINT_MEANINGS.items(), values, strict=True):
+                yield GraspColumn(begin + name, each, meaning)
 
 
 def whole_postures(
-    hand: SceneGripper,
-    spec: RunSpec,
-    starts: NDArray[np.float32],
-    joints: NDArray[np.float32],
-    synergies: NDArray[np.integer],
+    hand: SceneGripper, spec: RunSpec, starts: Positions, joints: Positions, synergies: NDArray[np.integer]
 ) -> Postures:
     """Return every joint of a run's hand; arguments as of `squeeze_targets`."""
     fixed = fixed_joints(spec.gripper)
@@ -71,12 +69,8 @@ def fixed_joints(gripper: str) -> dict[str, float]:
 
 
 def squeeze_targets(
-    hand: SceneGripper,
-    protocol: str,
-    starts: NDArray[np.floating],
-    joints: NDArray[np.floating],
-    synergies: NDArray[np.integer],
-) -> NDArray[np.float32]:
+    hand: SceneGripper, protocol: str, starts: Positions, joints: Positions, synergies: NDArray[np.integer]
+) -> Positions:
     """Return the joint targets (n, j) with which drives press at the grasp [rad or m].
 
     In `physical` a target leads its joint, in the sense in which it closes, by force over stiffness of its
@@ -99,7 +93,7 @@ def squeeze_targets(
     return np.where(senses != 0, targets, joints).astype(np.float32)
 
 
-def jaw_widths(hand: SceneGripper, joints: NDArray[np.floating]) -> Floats:
+def jaw_widths(hand: SceneGripper, joints: Positions) -> Floats:
     """Return the distance (n,) between the tips of a jaw [m]; NaN where there is no jaw.
 
     `joints` (n, j) are positions [rad or m]. It is the opening less the ways of the tips toward each

@@ -160,6 +160,7 @@ def read_acronym(path: Path) -> GraspTable:
 
 INDEX_FILE, SHARD_INDEX = "map_uuid_to_path.json", "uuid_index.json"
 DATA, SPLITS, OBJECTS, SHARDS = "grasp_data", "splits", "object_data", "grasp_shards"
+FOLDERS = {DATA, SPLITS, OBJECTS, SHARDS}
 SHARD_OBJECTS = 32  # Objects in a shard, which its reader goes through from the beginning for each
 BASE_OFFSET = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """Offset of GraspGen's axes from those of the transforms, xyz [m] and xyzw: zero."""
@@ -215,26 +216,14 @@ def _uuid(name: str) -> str:
     return name.replace(".", "%2E")
 
 
-def is_graspgen(path: Path) -> bool:
-    """Return whether a folder is one for GraspGen."""
-    folders = {DATA, SPLITS, OBJECTS, SHARDS}
-    return (path / DATA / INDEX_FILE).is_file() and {p.name for p in path.iterdir()} == folders
-
-
 def _lists(table: RunTable) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Return the format's lists and ours, with an item for each grasp."""
     ours: dict[str, list[Any]] = {
-        "number": table["number"].tolist(),
-        "fitness": table["fitness"].tolist(),
-        "eta": table["eta"].tolist(),
+        **{name: table[name].tolist() for name in ("number", *OWN_COLUMNS)},
         "joint_positions": table.joints.tolist(),
         "pregrasp_joint_positions": table.pregrasp.tolist(),
         "squeeze_joint_positions": table.squeeze.tolist(),
         "synergy": table.synergies.tolist(),
-        "penetration": table["penetration"].tolist(),
-        "margin": table["margin"].tolist(),
-        "width": table["width"].tolist(),
-        "grip_force": table["grip_force"].tolist(),
         "settled_transforms": _where_settled(table, table.jaw_matrices(table.settled).tolist()),
         "contacts": _where_settled(table, _contacts(table)),
     }

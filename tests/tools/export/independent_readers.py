@@ -5,7 +5,7 @@ import io
 import json
 import tarfile
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -318,7 +318,70 @@ def check_message(message: Any, definition: Any) -> None:
         assert type(message) is definition, (message, definition)
 
 
+def dexgraspbench(path: Path) -> Read:
+    """DexGraspBench: each `.npy` below a folder is a dict, as its evaluator takes it."""
+    about = json.loads((path / "qdgrasp.json").read_text())
+    found = [np.load(path / "graspdata" / about["object"] / f"{number}.npy", allow_pickle=True).item()
+             for number in about["grasps"]["number"]]  # fmt: skip
+    assert len(list(path.glob("graspdata/**/*.npy"))) == len(found)
+    for grasp in found:
+        assert (grasp["obj_scale"], grasp["obj_pose"].tolist()) == (1.0, [0, 0, 0, 1, 0, 0, 0])
+        facts = json.loads((path / grasp["obj_path"] / "info/simplified.json").read_text())
+        parts = [trimesh.load_mesh(part) for part in (path / grasp["obj_path"]).glob("urdf/meshes/*.obj")]
+        volume = facts["mass"] / (facts["density"] * facts["scale"] ** 3)
+        np.testing.assert_allclose(volume, sum(part.volume for part in parts), rtol=1e-6)
+    kinds = ("pregrasp", "grasp", "squeeze")
+    qpos = {kind: np.array([grasp[f"{kind}_qpos"] for grasp in found]) for kind in kinds}
+    poses = {kind: homogeneous(values[:, [0, 1, 2, 4, 5, 6, 3]]) for kind, values in qpos.items()}
+    np.testing.assert_array_equal(poses["squeeze"], poses["grasp"])
+    joints = {kind: columns(about["joint_order"], values[:, 7:]) for kind, values in qpos.items()}
+    lists = about["grasps"]
+    return Read(
+        poses["pregrasp"],
+        poses["grasp"],
+        np.array(lists["confidence"]),
+        joints["grasp"],
+        joints["pregrasp"],
+        joints["squeeze"],
+        np.array(lists["penetration"]),
+        about,
+        found,
+    )
+
+
+def arrays(path: Path, *names: str) -> tuple[Read, list[np.ndarray]]:
+    """An npz of columns: what a table reads of it, and arrays of other shapes."""
+    with np.load(path, allow_pickle=False) as file:
+        every = {name: file[name] for name in file.files}
+    about, others = json.loads(str(every.pop("qdgrasp"))), [every.pop(name) for name in names]
+    return table_read(pandas.DataFrame(every), about), others
+
+
+def molmospaces(path: Path) -> Read:
+    """MolmoSpaces: `transforms` of the frame between the fingertips, +z forward, fingers along y.
+
+    The made hand opens along y and approaches along z, as this frame does, whose origin is 0.101 m along z.
+    """
+    read, (transforms,) = arrays(path, "transforms")
+    back = np.eye(4)
+    back[2, 3] = -0.101
+    return replace(read, matrices=transforms @ back, beside=transforms)
+
+
+def curobo(path: Path) -> Read:
+    """cuRobo: a `GoalToolPose` [batch, horizon, links, goals, 3 or 4], quaternions wxyz, float32."""
+    read, (frames, position, quaternion) = arrays(path, "tool_frames", "position", "quaternion")
+    goals = len(read.quality)
+    assert frames.tolist() == [read.about["gripper_frame"]]
+    assert (position.shape, quaternion.shape) == ((1, 1, 1, goals, 3), (1, 1, 1, goals, 4))
+    poses = np.hstack([position[0, 0, 0], np.roll(quaternion[0, 0, 0], -1, axis=1)])
+    return replace(read, matrices=homogeneous(poses), beside=position)
+
+
 READERS = {
+    "dexgraspbench": dexgraspbench,
+    "molmospaces": molmospaces,
+    "curobo": curobo,
     "isaac": isaac,
     "acronym": acronym,
     "graspgen": graspgen,

@@ -1,0 +1,112 @@
+"""NumPy files for DexGraspBench, MolmoSpaces and cuRobo.
+
+DexGraspBench (JYChen18/DexGraspBench, main of June 2025; BODex's data too): the evaluator reads each `.npy`
+below a folder, a pickled dict of one grasp: `pregrasp_qpos`, `grasp_qpos` and `squeeze_qpos`
+(7 + j,), position [m] and quaternion wxyz of the root of the hand's MJCF and its joints in that order;
+`obj_pose` (7,) alike; `obj_scale`; `obj_path`, a folder with convex parts and `info/simplified.json`. The
+hand moves from the first, the commanded pose, to the others, the settled one; the object is at the origin.
+
+MolmoSpaces (allenai/molmospaces, August 2026): a library has `OBJECT/ROBOT/grasps.npz` with `transforms`
+(n, 4, 4), the frame between the open fingertips in that of the object, +z forward, fingers along y.
+
+cuRobo (NVlabs/curobo 0.8.0) reads no file of grasps: `plan_grasp` takes a `GoalToolPose` of `tool_frames`,
+`position` (1, 1, 1, n, 3) [m] and `quaternion` (1, 1, 1, n, 4), wxyz, which the file has for the root link.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from qdgrasp_assets.geometry.mesh import parse_parts, parts_to_obj
+from qdgrasp_assets.geometry.rotation import from_frame, tangents
+from qdgrasp_tools.export.grasp_table import COM, RunTable, from_matrices, object_mesh, to_matrices
+
+HALF, NO_TURN = 0.5**0.5, (0, 0, 0, 0, 0, 0, 1)
+SHADOW = "FFJ4 FFJ3 FFJ2 FFJ1 MFJ4 MFJ3 MFJ2 MFJ1 RFJ4 RFJ3 RFJ2 RFJ1 LFJ5 LFJ4 LFJ3 LFJ2 LFJ1"
+THUMB = "THJ5 THJ4 THJ3 THJ2 THJ1"
+MJCF_HANDS = {
+    "palm_link": ((0, 0, 0, HALF, 0, HALF, 0), [f"joint_{number:02}" for number in range(16)]),
+    "shadow_base": ((0, -0.01, -0.107, 0, 0, 0, 1), [*SHADOW.split(), *THUMB.split()]),
+}
+"""MJCF of Allegro and Shadow in DexGraspBench's `assets/hand`, by our root links.
+
+Each has the pose (7,) of the MJCF's root in that link's frame, x y z [m] and quaternion xyzw, and its joints
+in order. Other hands keep their root link and order.
+"""
+ASSETS, DATA, ABOUT = "assets", "graspdata", "qdgrasp.json"
+FOLDERS = {ASSETS, DATA, ABOUT}
+WXYZ = [0, 1, 2, 6, 3, 4, 5]  # Places in a pose, xyz and xyzw, of one with the quaternion as w, x, y, z
+PADS = 0.009  # Distance of the middle of a fingertip's pad from its end, as of Franka's own TCP [m]
+
+
+def write_dexgraspbench(path: Path, table: RunTable) -> None:
+    """Write grasps, and the object that they are of, as a folder for DexGraspBench."""
+    about, names = table.about, list(table.joint_names)
+    pose, joint_order = MJCF_HANDS.get(about.gripper_frame, (NO_TURN, names))
+    if not set(joint_order) <= set(names):
+        pose, joint_order = NO_TURN, names
+    root, order = to_matrices(np.array([pose])), [names.index(name) for name in joint_order]
+    kinds = {
+        "pregrasp_qpos": (table.poses, table.pregrasp),
+        "grasp_qpos": (table.grasp_poses, table.joints),
+        "squeeze_qpos": (table.grasp_poses, table.squeeze),
+    }
+    qpos = {
+        kind: np.hstack([from_matrices(to_matrices(poses) @ root)[:, WXYZ], joints[:, order]])
+        for kind, (poses, joints) in kinds.items()
+    }
+    folder, home = f"{ASSETS}/object/{about.object}", path / DATA / about.object
+    home.mkdir(parents=True)
+    place = {"obj_pose": np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), "obj_scale": 1.0, "obj_path": folder}
+    for i, number in enumerate(table.names):
+        grasp: Any = place | {kind: values[i] for kind, values in qpos.items()}
+        np.save(home / f"{number}.npy", grasp)
+    columns = {column.name: column.values.tolist() for column in table.columns.values()}
+    beside = {"joint_order": joint_order, "root": pose, "grasps": columns}
+    (path / ABOUT).write_bytes(msgspec.json.encode(about.values | beside))
+    _write_bench_object(path / folder, table)
+
+
+def _write_bench_object(path: Path, table: RunTable) -> None:
+    """Write an object's convex parts, surface and facts as the evaluator looks for them."""
+    body, about = table.scene.object, table.about
+    offset = np.zeros(3) if table.frame == COM else np.array(body.com_in_mesh)
+    parts = [part.moved(offset) for part in parse_parts(body.collision.decode())]
+    facts: dict[str, Any] = {
+        "gravity_center": about.object_com,
+        "obb": about.object_size,
+        "scale": 1.0,
+        "density": 1.0,
+    }
+    meshes = {f"urdf/meshes/convex_piece_{i:03}.obj": part for i, part in enumerate(parts)}
+    for name, mesh in (meshes | {"mesh/simplified.obj": object_mesh(body, table.frame)}).items():
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        (path / name).write_bytes(parts_to_obj([mesh]))
+    (path / "info").mkdir()
+    facts["mass"] = sum(part.volume for part in parts)
+    (path / "info/simplified.json").write_bytes(msgspec.json.encode(facts))
+
+
+def write_molmospaces(path: Path, table: RunTable) -> None:
+    """Write grasps as a MolmoSpaces file."""
+    hand = table.scene.gripper
+    z = np.array([hand.approach_axis])
+    y = np.array([hand.jaw.axis]) if hand.jaw else tangents(z)[1]
+    tips = np.hstack([z * (hand.reach - PADS), from_frame(np.cross(y, z), y, z)])
+    _write_npz(path, table, transforms=to_matrices(table.poses) @ to_matrices(tips))
+
+
+def write_curobo(path: Path, table: RunTable) -> None:
+    """Write grasps as the arrays of a goal set for cuRobo."""
+    goals, frames = table.poses[None, None, None][..., WXYZ].astype(np.float32), [table.about.gripper_frame]
+    _write_npz(path, table, tool_frames=np.array(frames), position=goals[..., :3], quaternion=goals[..., 3:])
+
+
+def _write_npz(path: Path, table: RunTable, **arrays: NDArray[Any]) -> None:
+    """Write arrays with all columns of a table, and its metadata as JSON in `qdgrasp`."""
+    arrays |= {column.name: column.values for column in table.columns.values()}
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, qdgrasp=np.array(table.about.json), **arrays)
