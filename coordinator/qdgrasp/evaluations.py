@@ -250,8 +250,9 @@ def evaluate(
     -------
     scores
         Arrays of n by name: `valid`, `touched`, `success` (bool), `fitness` (0 to 2), `outcome` (`Outcome`),
-        `base_position`, `base_quaternion_xyzw`, `joints` (n, j), `contacts`, `penetration` [m]; with a
-        protocol that has trials also `eta`.
+        `base_position`, `base_quaternion_xyzw`, `joints` (n, j), `contacts`, `penetration` [m]; of successes
+        `settled_position`, `settled_quaternion_xyzw`, `motion` (n, 2) [m, rad], `margin` and contacts, as
+        docs/formats.md has them; with a protocol that has trials also `eta`.
 
     Raises
     ------
@@ -270,4 +271,4 @@ def evaluate(
     place.check_hands()
     with evaluations:
         rows = evaluations.journal(genomes)
-    return scores(rows, TrialPlan.of(evaluations.spec))
+    return scores(rows, evaluations.scene.object, TrialPlan.of(evaluations.spec))

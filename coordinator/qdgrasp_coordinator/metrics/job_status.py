@@ -218,6 +218,8 @@ class TimedProgress:
 
     __slots__ = ()
     evaluations: int
+    trials: int
+    trials_left: int
     rate: float
 
     @property
@@ -228,17 +230,18 @@ class TimedProgress:
     @property
     def seconds_left(self) -> float | None:
         """Time that it still takes at the speed so far [s]; None: not known."""
-        return self.remaining / self.rate if self.rate > 0 else None
+        return self.remaining / self.rate if self.rate > 0 and not self.trials_left else None
 
     @property
     def done(self) -> float:
-        """Share of it that is done, 0 to 1; a run that ended early or failed has nothing left."""
-        return self.evaluations / (self.evaluations + self.remaining) if self.evaluations else 0.0
+        """Share of it that is done, 0 to 1, with trials; what ended early has nothing left."""
+        done = self.evaluations + self.trials
+        return done / (done + self.remaining + self.trials_left) if done else 0.0
 
     @property
     def left(self) -> str:
         """The time left in words."""
-        if not self.remaining:
+        if not self.remaining + self.trials_left:
             return "nothing left"
         seconds = self.seconds_left
         if seconds is None or seconds > LONGEST_WAIT:
@@ -265,6 +268,7 @@ class RunStatus(RunListing, TimedProgress, frozen=True, kw_only=True):
     durable: Annotated[int, "Rows that the recorder reports to be on disk."]
     seconds: Annotated[float, "Since the coordinator opened the run [s]."]
     rate: Annotated[float, "Counted evaluations since then, replayed ones apart [1/s]."]
+    trials_left: Annotated[int, "Trials of its successes so far that are to come."] = 0
     trouble: Annotated[str, "The reason why the run does not go on, in words; empty while it does."] = ""
 
     @property
@@ -286,6 +290,7 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
         int,
         ("Counted evaluations that runs which are not over may still take; those that end early take fewer."),
     ]
+    trials_left: Annotated[int, "Trials of the successes so far that are to come."] = 0
     waiting: Annotated[
         int, "Settled rows that are not known to be on disk: how far the recorder is behind."
     ] = 0
@@ -342,7 +347,9 @@ class JobStatus(RunTotals, TimedProgress, frozen=True, kw_only=True):
         if not self.rate and (self.doing or not self.workers):
             return f"{done}, {self.doing or 'no worker yet'}"
         doing = f"{self.doing}, " if self.doing else ""
-        trials = f"{counted(self.trials, 'trial')}, " if self.trials else ""
+        of = f"{self.trials} of " if self.trials_left else ""
+        all_trials = self.trials + self.trials_left
+        trials = f"{of}{counted(all_trials, 'trial')}, " if all_trials else ""
         workers = counted(self.workers, "worker")
         speed = f"{self.rate:.{0 if self.rate >= SLOW_RATE else 1}f}/s"
         return f"{done}, {doing}{speed}, {self.found}, {self.screened}, {trials}{workers}"

@@ -250,6 +250,11 @@ class RunCounter:
         return self.spec.evaluations - self.evaluations
 
     @property
+    def trials_left(self) -> int:
+        """Trials that the successes so far still get."""
+        return max(0, self.spec.trial_count * sum(self._outcomes[Outcome.DROPPED :]) - self.trials)
+
+    @property
     def is_reached(self) -> bool:
         """True if the budget or a goal is reached: only trials may follow."""
         return self.left <= 0 or self._tracker.reached is not None
@@ -285,10 +290,9 @@ class RunCounter:
             raise ImpossibleValue(where, self.spec.evaluations, expected)
 
     def _ending(self) -> str | None:
-        has_all_trials = self.trials >= self.spec.trial_count * sum(self._outcomes[Outcome.DROPPED :])
-        if self.left <= 0 and has_all_trials:
+        if self.left <= 0 and not self.trials_left:
             return f"the budget of {self.spec.evaluations} evaluations is spent"
-        if self._tracker.reached is not None and has_all_trials:
+        if self._tracker.reached is not None and not self.trials_left:
             return self._tracker.reached
         genomes = self._nominal - self._fruitful
         if self._barren >= BARREN and genomes >= BARREN_GENOMES:

@@ -44,6 +44,7 @@ class TimeLeft:
         self._settled = 0
         self._row_at = -inf
         self._before: float | None = None  # Evaluations with the first rows, which waited for their scene
+        self._settled_before = 0  # Rows with them
         self._row_work = 0.0  # Seconds of workers that had rows, or could have had, since then
         self._workers = 1  # The last number that was not 0
 
@@ -59,7 +60,8 @@ class TimeLeft:
             self._row_work += passed * max(figures.workers - work.builders, len(work.signs))
         if self._at is not None and work.settled > self._settled:
             self._row_at = now
-            self._before = evaluations if self._before is None else self._before
+            if self._before is None:
+                self._before, self._settled_before = evaluations, work.settled
         self._at, self._settled = now, work.settled
         is_quiet = now - self._row_at > QUIET_SECONDS and figures.state in ("starting", "running")
         doing = activity(figures, work, has_begun=self._before is not None) if is_quiet else ""
@@ -74,6 +76,11 @@ class TimeLeft:
             if fresh <= 0 or not self._row_work:
                 return None
             rows = figures.remaining * self._row_work / fresh
+        if figures.trials_left:
+            settled = self._settled - self._settled_before
+            if settled <= 0 or not self._row_work:
+                return None
+            rows += figures.trials_left * self._row_work / settled
         if shapes_left:
             if not figures.scenes_seconds:
                 return None

@@ -73,6 +73,11 @@ class ActiveRun:
         return 0 if self.pipeline.finished else max(0, self.tally.left)
 
     @property
+    def trials_left(self) -> int:
+        """Trials of its successes so far that are to come; 0 once it is over."""
+        return 0 if self.pipeline.finished else self.tally.trials_left
+
+    @property
     def is_done(self) -> bool:
         """True if the run is finished and all of its rows are on disk."""
         return self.pipeline.finished is not None and self.sink.is_empty
@@ -88,6 +93,7 @@ class ActiveRun:
             durable=self.sink.durable,
             seconds=seconds,
             rate=(listing.evaluations - self.replayed) / seconds if seconds > 0 else 0.0,
+            trials_left=self.trials_left,
             trouble=self.sink.trouble,
         )
 
@@ -399,6 +405,7 @@ class RunRegistry:
             runs_open=len(self._open),
             budget=max(self.extent.evaluations, found.evaluations),
             remaining=sum(self._budgets.values()) - spent,
+            trials_left=sum(run.trials_left for run in runs),
             **structs.asdict(found),
             waiting=sum(max(0, run.tally.rows - run.sink.durable) for run in self._open.values()),
             seconds=seconds,

@@ -6,9 +6,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp_assets.scene import Scene, SceneGripper
+from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
 from qdgrasp_coordinator.metrics.arrays import read_arrays, real_numbers
 from qdgrasp_coordinator.metrics.cells import GenomeReader
+from qdgrasp_coordinator.metrics.grasp_quality import (
+    contact_values,
+    object_motion,
+    recorded_margins,
+    settled_mask,
+    settled_poses,
+)
 from qdgrasp_coordinator.metrics.successes import NO_TRIALS, TrialPlan, all_successes
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import NO_SYNERGY, Genomes, Outcome, Rows
@@ -142,23 +149,27 @@ def as_given(scene: Scene, prior: str, rows: Rows) -> Genomes:
     return np.hstack([rows["base_to_object"], values[:, own:]]).astype(np.float32)
 
 
-def write_scores(path: Path, rows: Rows, plan: TrialPlan = NO_TRIALS) -> None:
+def write_scores(path: Path, rows: Rows, body: SceneObject, plan: TrialPlan = NO_TRIALS) -> None:
     """Write `scores` of rows to a new file, in the order of the poses."""
     with path.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **scores(rows, plan))
+        np.savez_compressed(file, allow_pickle=False, **scores(rows, body, plan))
 
 
-def scores(rows: Rows, plan: TrialPlan = NO_TRIALS) -> dict[str, NDArray[np.generic]]:
+def scores(rows: Rows, body: SceneObject, plan: TrialPlan = NO_TRIALS) -> dict[str, NDArray[np.generic]]:
     """Return scores of a journal's rows, as arrays by name; nominal rows only, but for eta.
 
     valid, touched, success: (n,) bool; fitness: (n,) uint8, false and 0 for overlaps; outcome: (n,) uint8
     (`Outcome`); base_position (n, 3) and base_quaternion_xyzw (n, 4) as simulated, float32; joints (n, j)
-    after closing; contacts (n,) finger links in contact; penetration (n,) [m]. Where the plan has trials, eta
-    (n,): the estimated probability that it transfers, 0 for all but successes.
+    after closing; contacts (n,) finger links in contact; penetration (n,) [m]. After closing, NaN for all but
+    successes: settled_position and settled_quaternion_xyzw of the hand; motion (n, 2) of the object meanwhile
+    [m, rad]; margin (n,) of the contacts (Ferrari-Canny). contact_links (n, k): places in the hand's links,
+    -1 for an empty slot, of contact_points and contact_normals (n, k, 3), contact_forces (n, k) [N]. Where
+    the plan has trials, eta (n,): the estimated probability that it transfers, 0 for all but successes.
     """
     found = all_successes(rows, plan, least=Outcome.ERROR)
     etas, rows = {"eta": plan.eta(found.scores)} if plan.trials else {}, found.rows
-    outcome = rows["outcome"]
+    outcome, contacts = rows["outcome"], contact_values(rows)
+    settled = np.where(settled_mask(rows)[:, None], settled_poses(rows), np.nan)
     return etas | {
         "valid": outcome >= Outcome.MISSED,
         "touched": outcome >= Outcome.BRUSHED,
@@ -170,6 +181,14 @@ def scores(rows: Rows, plan: TrialPlan = NO_TRIALS) -> dict[str, NDArray[np.gene
         "joints": rows["joints"],
         "contacts": rows["contacts"],
         "penetration": rows["penetration"],
+        "settled_position": settled[:, :3],
+        "settled_quaternion_xyzw": settled[:, 3:],
+        "motion": object_motion(rows),
+        "margin": recorded_margins(rows, body),
+        "contact_links": rows["contact_links"].astype(np.int16) - 1,
+        "contact_points": contacts[..., :3],
+        "contact_normals": contacts[..., 3:6],
+        "contact_forces": contacts[..., 6],
     }
 
 

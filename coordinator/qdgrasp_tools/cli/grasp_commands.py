@@ -224,8 +224,9 @@ def evaluate(
 
     The file holds base_position (n, 3) [m] and base_quaternion_xyzw (n, 4) of the hand's root link and,
     where the hand has them, synergy (n,) and spread (n, 2) [rad]; -1 and NaN mean none. Written are
-    valid, touched, success (bool), fitness (uint8) and more, in the order that came; with a protocol that has
-    trials also eta, the share of their disturbances that was survived.
+    valid, touched, success (bool), fitness (uint8) and more, in the order that came: the settled pose, the
+    object's motion, margin and contacts; with a protocol that has trials also eta, the share of their
+    disturbances that was survived.
 
     Example: qdgrasp evaluate --gripper panda --object mug --poses poses.npz --out scores.npz
     """
@@ -245,5 +246,5 @@ def evaluate(
     if stop.is_set:
         raise typer.Exit(stop.exit_code)
     with output.writing() as made:
-        write_scores(made, rows, TrialPlan.of(spec))
+        write_scores(made, rows, prepared.scene.object, TrialPlan.of(spec))
     echo(f"{counted(len(hand_poses), 'pose')} scored, written to {out}")

@@ -47,8 +47,8 @@ class LiveProgress(Progress):
         """Move the bar on."""
         self.update(
             self._job,
-            completed=figures.evaluations,
-            total=max(1, figures.evaluations + figures.remaining),
+            completed=figures.done,
+            total=1.0,
             words=printable(figures.words),
             left=figures.left,
         )

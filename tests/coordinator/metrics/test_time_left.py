@@ -1,6 +1,7 @@
 """The time left over a campaign, and a job's work while no rows come in."""
 
 import pytest
+from msgspec import structs
 from tests.tools.monitor.sample_jobs import figures
 
 from qdgrasp_coordinator.metrics.time_left import QUIET_SECONDS, TimeLeft, WorkersAtWork
@@ -34,6 +35,19 @@ def test_the_time_left_is_about_right() -> None:
             assert seconds == pytest.approx(round_seconds * rounds - second, rel=0.15, abs=60.0)
             shown += 1
     assert shown > 600
+
+
+def test_trials_that_are_to_come_are_left_where_all_evaluations_are_done() -> None:
+    """Two workers evaluate 20 trials a second of 9000."""
+    left, common = TimeLeft(), BEGUN | {"evaluations": 100, "remaining": 0, "budget": 100}
+    for second in range(1, 60):
+        done = 20 * second
+        job = figures(**common, trials=done, trials_left=9000 - done, seconds=float(second))
+        job = left.note(job, at_work({"rows": 50}, {"rows": 50}, settled=100 + done), 0.0, float(second))
+    assert job.seconds_left == pytest.approx((9000 - done) / 20, rel=0.1)
+    assert job.done == pytest.approx((100 + done) / 9100)
+    assert job.left == "about 7 min left"
+    assert structs.replace(job, trials_left=0).left == "nothing left"
 
 
 def test_it_is_said_at_once_at_the_beginning_and_after_a_while_without_rows_later() -> None:

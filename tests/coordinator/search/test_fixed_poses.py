@@ -3,6 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
+from tests.coordinator.scenes import made_scene
 from tests.coordinator.search.synthetic_scene import plain
 
 from qdgrasp_assets.catalog import build_scene
@@ -100,16 +101,26 @@ def test_labels_and_free_joints_that_are_not_said_stand_for_the_open_hand_and_al
 
 
 def test_scores_are_false_and_zero_for_overlaps(tmp_path):
-    rows = RowShape(genes=7, joints=2).empty(3)
+    rows, body = RowShape(genes=7, joints=2, contact_slots=3).empty(3), made_scene().object
     rows["outcome"] = [Outcome.OVERLAP, Outcome.BRUSHED, Outcome.HELD]
     rows["fitness"] = [0, 0, 2]
-    found = scores(rows)
+    rows["base_to_object"][:, 6] = 1.0
+    rows["settled"][2] = (0.003, 0.0, 0.004, 0.0, 0.0, 0.0, 1.0)
+    rows["contact_links"][2, 0], rows["contact_points"][2, :7] = 2, (0.01, 0.0, 0.0, -1.0, 0.0, 0.0, 5.0)
+    found = scores(rows, body)
     assert found["valid"].tolist() == [False, True, True]
     assert found["touched"].tolist() == [False, True, True]
     assert found["success"].tolist() == [False, False, True]
     assert found["fitness"].tolist() == [0, 0, 2]
     assert found["fitness"].dtype == np.uint8
-    write_scores(tmp_path / "scores.npz", rows)
+    np.testing.assert_allclose(found["settled_position"], [[np.nan] * 3] * 2 + [[0.003, 0.0, 0.004]])
+    np.testing.assert_allclose(found["motion"], [[np.nan] * 2] * 2 + [[0.005, 0.0]], atol=1e-7)
+    assert np.isnan(found["margin"]).tolist() == [True, True, False]
+    assert found["contact_links"].tolist() == [[-1] * 3] * 2 + [[1, -1, -1]]
+    assert (found["contact_points"][2, 0, 0], found["contact_forces"][2, 0]) == pytest.approx(
+        (0.01, 5.0), rel=1e-3
+    )
+    write_scores(tmp_path / "scores.npz", rows, body)
     with np.load(tmp_path / "scores.npz", allow_pickle=False) as file:
         assert set(file.files) == set(found)
 
@@ -139,7 +150,8 @@ def test_scores_of_poses_in_trials_tell_their_eta() -> None:
     nominal = [Outcome.MISSED, Outcome.HELD, Outcome.OVERLAP]
     rows["outcome"] = [*nominal, Outcome.HELD, Outcome.SHAKEN, Outcome.ERROR]
     rows["fitness"] = [0, 2, 0, 2, 1, 0]
-    found = scores(rows, TrialPlan(3))
+    body = made_scene().object
+    found = scores(rows, body, TrialPlan(3))
     assert found["eta"].tolist() == [0, 0.5, 0]
     assert found["success"].tolist() == [False, True, False]
-    assert "eta" not in scores(rows[:3])
+    assert "eta" not in scores(rows[:3], body)
