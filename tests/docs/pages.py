@@ -110,6 +110,7 @@ ELSEWHERE = {
     r".*\bdocker ": "needs Docker and the network; the files have tests of their own (tests/deploy)",
     r"kubectl ": "needs a cluster; the objects have tests of their own (tests/deploy)",
     r"python examples/own_optimiser\.py \S+ tcp/": "needs a router with workers; tests/examples has both",
+    r"python part-bundle/replay\.py": "is run by tests of their own (tests/tools/export)",
     r"ssh ": "needs another machine",
     r"qdgrasp asset fetch": "fetches gigabytes from the network; it has tests with a server of their own",
 }
@@ -121,7 +122,7 @@ LONG = re.compile(
     r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0|my_hand)"
     r"|qdgrasp export (.*--holds-in|runs/part-robust)"  # of what verify and rerank made
     r"|qdgrasp resume .*--evaluations|qdgrasp info runs/(paper-small|budgets)"
-    r"|python examples/(own_|in_mujoco)"
+    r"|python examples/own_"
     r"|curl "
 )
 """Lines that take long: `make test-docs` and `make test-slow` run them, `make test` does not."""

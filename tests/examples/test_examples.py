@@ -1,7 +1,6 @@
 """The scripts of examples/, as a user starts them, and the demo."""
 
 import ast
-import re
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -9,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from docs.demo import MARKER, clear
-from tests.assets import example_hands
 from tests.common import PATIENCE, own_endpoint
 from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import made_scene
@@ -131,26 +128,6 @@ def test_both_of_ones_own_meet_at_a_router(scripts: Scripts, commands: Commands)
     for process in (worker, router):
         process.send_signal(signal.SIGTERM)
         assert process.wait(PATIENCE) in {0, 128 + signal.SIGTERM}
-
-
-def test_of_the_three_best_grasps_two_are_held_by_the_hand_of_a_urdf_in_mujoco(scripts, commands) -> None:
-    home = commands.home
-    (home / "jaw.urdf").write_text(example_hands.JAW_URDF)
-    (home / "jaw.toml").write_text(example_hands.JAW_TOML)
-    trimesh.creation.box((0.04, 0.06, 0.12)).export(home / "part.stl")
-    scene = ("--gripper", "jaw.toml", "--object", "part.stl", "--mass", 0.3, "--engine", "mujoco")
-    commands.succeed("run", *scene, "--evaluations", 60, "--workers", 1, "--out", "run")
-    commands.succeed("export", "run", "--format", "csv", "--top", 3, "-o", "best.csv")
-    *head, first, second, third = (home / "best.csv").read_text().splitlines()
-    moved = []
-    for grasp in (first, second, third):
-        (home / "one.csv").write_text("\n".join([*head, grasp, ""]))
-        said = scripts("in_mujoco.py", "jaw.urdf", "part.stl", "one.csv")
-        found = re.fullmatch(r"grasp \d+: (\d+) contacts after 2.0 s, object moved ([\d.]+) mm\n", said)
-        assert found, said
-        assert int(found[1]) >= 2
-        moved.append(float(found[2]))
-    assert sorted(moved)[1] < 15, moved
 
 
 def turned(quaternions: np.ndarray, axis: np.ndarray) -> np.ndarray:

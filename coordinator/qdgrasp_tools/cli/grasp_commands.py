@@ -37,7 +37,7 @@ def export(
         typer.Option(
             "--format",
             help="One of isaac, acronym, graspgen, parquet, webdataset, moveit, csv, dexgraspbench, "
-            "molmospaces, curobo.",
+            "molmospaces, curobo, bundle.",
         ),
     ],
     out: Annotated[
@@ -46,7 +46,7 @@ def export(
             "--out",
             "-o",
             metavar="OUT",
-            help="The file; for graspgen, dexgraspbench and several runs a folder.",
+            help="The file; for graspgen, dexgraspbench, bundle and several runs a folder.",
         ),
     ],
     min_fitness: Annotated[

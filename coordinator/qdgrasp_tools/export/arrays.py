@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import parse_parts, parts_to_obj
 from qdgrasp_assets.geometry.rotation import from_frame, tangents
+from qdgrasp_coordinator.storage.scene_mjcf import closing_speeds, replay_files
 from qdgrasp_tools.export.grasp_table import COM, RunTable, from_matrices, object_mesh, to_matrices
 
 HALF, NO_TURN = 0.5**0.5, (0, 0, 0, 0, 0, 0, 1)
@@ -103,6 +104,23 @@ def write_curobo(path: Path, table: RunTable) -> None:
     """Write grasps as the arrays of a goal set for cuRobo."""
     goals, frames = table.poses[None, None, None][..., WXYZ].astype(np.float32), [table.about.gripper_frame]
     _write_npz(path, table, tool_frames=np.array(frames), position=goals[..., :3], quaternion=goals[..., 3:])
+
+
+BUNDLE = {"scene.xml", "replay.py", "grasps.npz", "hand", "object"}
+
+
+def write_bundle(path: Path, table: RunTable) -> None:
+    """Write a folder that replays grasps in plain MuJoCo, without this project."""
+    files, hand = replay_files(table.scene, table.about.object_com), table.scene.gripper
+    files["object/mesh.obj"] = parts_to_obj([object_mesh(table.scene.object, table.frame)])
+    for name, content in files.items():
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        (path / name).write_bytes(content)
+    ends = np.array([joint.closed for joint in hand.joints])  # of a jaw; others close until they press
+    opened, squeeze = table.pregrasp[:, : len(ends)], table.squeeze[:, : len(ends)]
+    closed = np.broadcast_to(ends, opened.shape) if hand.jaw else squeeze
+    speeds = np.array(closing_speeds(table.scene))
+    _write_npz(path / "grasps.npz", table, pose=table.poses, opened=opened, closed=closed, speeds=speeds)
 
 
 def _write_npz(path: Path, table: RunTable, **arrays: NDArray[Any]) -> None:

@@ -78,13 +78,14 @@ FORMATS = {
         ExportFormat("molmospaces", ".npz", arrays.write_molmospaces, default_failures=None),
         ExportFormat("curobo", ".npz", arrays.write_curobo, default_failures=None),
         ExportFormat("dexgraspbench", "", arrays.write_dexgraspbench, default_failures=None),
+        ExportFormat("bundle", "", arrays.write_bundle),
     )
 }
 
 
 def is_folder(path: Path) -> bool:
     """Return whether a folder is one of a format."""
-    return {each.name for each in path.iterdir()} in (jaw_files.FOLDERS, arrays.FOLDERS)
+    return {each.name for each in path.iterdir()} in (jaw_files.FOLDERS, arrays.FOLDERS, arrays.BUNDLE)
 
 
 def format_of(name: str) -> ExportFormat:

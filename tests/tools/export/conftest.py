@@ -90,17 +90,18 @@ def run(make_run: MakeRun) -> RunFolder:
     return make_run(*sorted([*Outcome, *Outcome]))
 
 
-def evaluated(path: Path, gripper: str, object_: str, n: int, prior: str = "contact") -> RunFolder:
+def evaluated(
+    path: Path, gripper: str, object_: str, n: int, prior: str = "contact", **settings: object
+) -> RunFolder:
     """A run of n random genomes of a prior."""
-    scene = build_scene(RunSpec(gripper=gripper, object=object_))
+    scene = build_scene(RunSpec(gripper=gripper, object=object_, **settings))
     with Evaluator(scene) as evaluator:
         genes = evaluator.shape(prior).genes
         genomes = np.random.default_rng(0).uniform(-1, 1, (n, genes)).astype(np.float32)
         rows = evaluator.evaluate(prior, genomes, np.zeros(n, np.uint16)).rows
     rows["index"] = np.arange(n)
-    return record(
-        path, scene, rows, gripper=gripper, object=object_, mass=None, method=f"{prior}_rand", population=n
-    )
+    named = {"gripper": gripper, "object": object_, "mass": None, "method": f"{prior}_rand"} | settings
+    return record(path, scene, rows, **named, population=n)
 
 
 def evaluate_given(scene: Scene, genomes: np.ndarray) -> Rows:

@@ -17,7 +17,7 @@ from qdgrasp_protocol.errors import FolderError, OutputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import ObjectRecord
 from qdgrasp_tools.cli.main import app
-from qdgrasp_tools.export.exporter import FORMATS, export_grasps
+from qdgrasp_tools.export.exporter import export_grasps
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 
 OBJECTS = ("cup", "block", "ball")
@@ -63,7 +63,7 @@ def counts(folder: Path, name: str) -> dict[str, int]:
     }
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", READERS)
 def test_all_runs_are_in_it_with_as_many_grasps_as_their_journals(runs, tmp_path, name) -> None:
     said = export_grasps(runs, tmp_path / "out", name)
     assert "24 grasps" in said

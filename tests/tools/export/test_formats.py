@@ -50,7 +50,7 @@ def files(out: Path) -> dict[Path, bytes]:
     return {file.relative_to(out): file.read_bytes() for file in found if file.is_file()}
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", READERS)
 class TestFormat:
     """What holds of every format."""
 
