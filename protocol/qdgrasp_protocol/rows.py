@@ -65,6 +65,8 @@ class Outcome(IntEnum):
 
 TRIALS = 100
 """Trials of a success (Huber et al. 2024), each with the disturbances of the base protocol."""
+HARD_TRIALS = 20
+"""Harder trials that may follow these, with the base `physical`; they order grasps of equal eta."""
 TRIAL_COUNTS = {"robust": TRIALS}
 
 

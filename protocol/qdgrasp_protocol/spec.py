@@ -21,7 +21,15 @@ from msgspec.inspect import NoneType
 
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import EXTRAS, ImpossibleValue, InputError, UnknownKey, check_packages
-from qdgrasp_protocol.rows import LIFT, TRIALS, disturbance_count, nominal_protocol, trial_count
+from qdgrasp_protocol.rows import (
+    GIVEN,
+    HARD_TRIALS,
+    LIFT,
+    TRIALS,
+    disturbance_count,
+    nominal_protocol,
+    trial_count,
+)
 
 MAX_TOML_SIZE = 4 << 20
 """Most characters that are parsed; 4096 poses of a hand with 25 joints have two million."""
@@ -206,8 +214,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """Distance [m] from which the open hand comes along its approach axis; default 0, with a table 0.1."""
     resting_pose: Annotated[int, Meta(ge=0, lt=MOST_RESTING_POSES)] | Literal["any"] | None = None
     """How the object rests on a table, by `qdgrasp asset resting-poses`; default: no table."""
-    trials: Annotated[int, Meta(ge=1, le=TRIALS)] | None = None
-    """Trials of each success under `robust`; default 100."""
+    trials: Annotated[int, Meta(ge=1, le=TRIALS + HARD_TRIALS)] | None = None
+    """Trials of each success under `robust`, of given poses 20 harder ones beyond 100; default 100."""
     aim_for: AimFor | None = None
     """Objective of the method portfolio."""
     diversity: DiversityName | None = None
@@ -297,6 +305,9 @@ def run_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
             f"{where}: trials = {spec.trials} is for the protocol 'robust', and '{spec.protocol}' has no "
             "trials; leave trials out, or take protocol = 'robust'."
         )
+    if (spec.trials or 0) > TRIALS and (spec.base != "physical" or spec.method != GIVEN):
+        expected = f"at most {TRIALS}, unless base = 'physical' and method = '{GIVEN}'"
+        raise ImpossibleValue(f"{where}: trials", spec.trials, expected)
     if spec.mesh is not None and spec.mesh.remesh and spec.mesh.hull:
         raise InputError(f"{where}: remesh and hull each replace the mesh by another one; take one of them.")
     if spec.protocol == LIFT and spec.resting_pose == ANY_RESTING_POSE:

@@ -120,7 +120,7 @@ LONG = re.compile(
     r"qdgrasp (campaign|analyse|rerank|verify|jobs|pause|continue|drain|cancel)"
     r"|qdgrasp-(router|coordinator|recorder|worker|monitor)"
     r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0|my_hand)"
-    r"|qdgrasp export (.*--holds-in|runs/part-robust)"  # of what verify and rerank made
+    r"|qdgrasp export (.*--holds-in|runs/\w+-robust)"  # of what verify and rerank made
     r"|qdgrasp resume .*--evaluations|qdgrasp info runs/(paper-small|budgets)"
     r"|python examples/own_"
     r"|curl "

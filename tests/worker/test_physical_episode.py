@@ -61,6 +61,16 @@ def test_a_jaw_centres_what_it_holds(scene):
     assert verdict.joints[0] == pytest.approx(verdict.joints[1], abs=1e-3)
 
 
+def test_a_harder_trial_grips_with_less_force_and_pushes_with_more(scene):
+    with closing(make_world(scene, PHYSICAL)) as world:
+        episode = make_episode(world, PHYSICAL)
+        usual, weak = (episode.run(TrialSetup(ABOVE, preload=factor)) for factor in (1.0, 0.5))
+        assert episode.run(TrialSetup(ABOVE, load=100.0)).outcome < Outcome.HELD
+        assert episode.run(TrialSetup(ABOVE)) == usual
+    forces = [sum(contact.force for contact in each.contacts) for each in (usual, weak)]
+    assert forces[1] == pytest.approx(0.5 * forces[0], rel=0.1)
+
+
 class TestRobustOnPhysical:
     def test_the_order_of_trials_changes_none_and_a_hand_that_was_stopped_settles_farther_out(self):
         robust = build_scene(

@@ -38,6 +38,12 @@ class TrialSetup:
     """The object's coefficients of rolling and spinning friction; None: its own."""
     grip: float = 1.0
     """Factor of the object's lateral friction."""
+    torsion: float = 1.0
+    """Factor of the spinning friction in `physical`."""
+    load: float = 1.0
+    """Factor of the pushes of `physical`: the object's weight."""
+    preload: float = 1.0
+    """Factor of the force with which fingers grip in `physical`."""
     approaches: bool = False
     """The hand comes along its approach axis, and stops before a link would be inside the object."""
     clear_way: float = 0.0
@@ -58,6 +64,10 @@ class Mixture:
     """The interval of the object's coefficient of spinning friction."""
     grip: tuple[float, float] | None = None
     """The interval of the factor of the object's lateral friction; None: no change."""
+    torsion: float = 1.0
+    """Factors of every trial, as in `TrialSetup`."""
+    load: float = 1.0
+    preload: float = 1.0
     approaches: bool = False
     """The hand comes to its pose along its approach axis; False: it is set there."""
     seed: int = 0
@@ -71,7 +81,8 @@ class Mixture:
         if self.rolling and self.spinning:
             frictions = draw_friction(random, self.rolling), draw_friction(random, self.spinning)
         grip = draw_friction(random, self.grip) if self.grip else 1.0
-        return TrialSetup(pose_seen_from(position, quaternion, pose), frictions, grip, self.approaches)
+        seen, factors = pose_seen_from(position, quaternion, pose), (self.torsion, self.load, self.preload)
+        return TrialSetup(seen, frictions, grip, *factors, self.approaches)
 
 
 def pose_seed(pose: HandPose) -> list[int]:
@@ -234,6 +245,8 @@ class EvaluationProtocol:
     """Free joints take their places before the test for overlap, not after it."""
     mixture: Mixture | None = None
     """Distributions that trials from 1 on are drawn from; None: there are no trials."""
+    hard: Mixture | None = None
+    """Distributions of the trials after the hundredth; None: there are none."""
     physics: Physics | None = None
     """The settings of `physical`, in which nothing is shaken; None: the hand closes and shakes as above."""
     lift: Lift | None = None
@@ -244,12 +257,13 @@ class EvaluationProtocol:
     @property
     def trials(self) -> int:
         """Number of trials besides trial 0, the nominal one."""
-        return rows.trial_count(self.name)
+        return rows.trial_count(self.name) + (rows.HARD_TRIALS if self.hard else 0)
 
     def trial(self, pose: HandPose, number: int) -> TrialSetup:
         """A grasp in one of its trials; 0 is the grasp as it was commanded."""
-        if self.mixture and number:
-            return self.mixture.trial(pose, number)
+        mixture = self.hard if number > rows.TRIALS else self.mixture
+        if mixture and number:
+            return mixture.trial(pose, number)
         return TrialSetup(pose, clear_way=self.approach_distance)
 
 
@@ -270,8 +284,9 @@ PHYSICAL = EvaluationProtocol(
 )
 LIFT = replace(PHYSICAL, name=rows.LIFT, lift=Lift())
 SMALL_MIXTURE = Mixture(position_sigma=0.003, angle_sigma=radians(3.0), grip=(0.6, 1.4), approaches=True)
+HARD_MIXTURE = replace(SMALL_MIXTURE, grip=(0.3, 0.7), torsion=0.5, load=2.0, preload=0.7)
 PROTOCOLS = {protocol.name: protocol for protocol in (PAPER, RELEASED, ROBUST, PHYSICAL, LIFT)}
-ROBUST_BY_BASE = {"physical": replace(PHYSICAL, name=ROBUST.name, mixture=SMALL_MIXTURE)}
+ROBUST_BY_BASE = {"physical": replace(PHYSICAL, name=ROBUST.name, mixture=SMALL_MIXTURE, hard=HARD_MIXTURE)}
 
 
 def scene_protocol(scene: Scene) -> EvaluationProtocol:

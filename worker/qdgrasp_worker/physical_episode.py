@@ -103,13 +103,17 @@ class FingerControl:
     def __init__(self, drives: Sequence[FingerDrive], *, is_coupled: bool) -> None:
         self.drives = drives
         self.is_coupled = is_coupled
+        self._preload = 1.0
         self.targets = [drive.opened for drive in drives]
         """Target of each joint [m or rad]."""
         self._ways = [(0, drive.opened) for drive in drives]  # Of each target: +1, -1 or 0, and its end
 
-    def start(self, posture: Sequence[float], closing: Sequence[str]) -> None:
-        """Let the targets of the joints `closing` move from `posture`; the others stay there."""
-        self.targets = list(posture)
+    def start(self, posture: Sequence[float], closing: Sequence[str], preload: float = 1.0) -> None:
+        """Let the targets of the joints `closing` move from `posture`; the others stay there.
+
+        `preload` is a factor of the force with which they grip.
+        """
+        self.targets, self._preload = list(posture), preload
         self._ways = [
             target_motion(drive, place) if drive.name in closing else (0, place)
             for drive, place in zip(self.drives, posture, strict=True)
@@ -138,7 +142,7 @@ class FingerControl:
                 place = position if share is None else drive.opened + share * (drive.closed - drive.opened)
                 ahead = min(
                     sense * self.targets[i] + drive.speed * seconds,
-                    sense * place + drive.lead,
+                    sense * place + self._preload * drive.lead,
                     sense * end,
                 )
                 self.targets[i] = sense * ahead
@@ -306,8 +310,9 @@ class PhysicalEpisode(Episode[PhysicalWorld]):
 
     def _holds_against(self, direction: Vector, position: Vector, quaternion: Quaternion) -> bool:
         world, physics = self.world, self.world.physics
+        x, y, z = (world.trial.load * part for part in direction)
         for step in world.steps_to_rest(physics.steps(physics.push_time)):
-            world.push(direction)
+            world.push((x, y, z))
             world.step()
             if (step + world.steps_at_once) % physics.look_every == 0 and self._has_lost(
                 position, quaternion

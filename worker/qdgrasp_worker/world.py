@@ -102,6 +102,8 @@ class GraspWorld(ABC):
     """Distance at which its engine detects contacts, if it is the same for all shapes [m]."""
     finger_links: frozenset[int]
     """The links, as `contacts` names them, whose contact after closing makes a success."""
+    trial: TrialSetup
+    """The trial that it was reset for last."""
     steps = 0
     """Number of steps of physics that `step` has simulated."""
 

@@ -3,7 +3,7 @@
 Where the evaluation protocol has trials, the score of a success is the sum of their fitness; elsewhere it is
 the nominal fitness. Over all disturbances it is eta, the estimated probability that the grasp transfers
 (Huber et al. 2024, appendix B: 100 trials of two shakes, so it is the sum over 200; trials of `physical` have
-six forces each).
+six forces each). Trials after the hundredth are harder: they order grasps of equal eta.
 
 Everything that looks at what a run found reads it by `find_successes`, in one pass over its journal.
 """
@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from qdgrasp_assets.scene import SceneObject
 from qdgrasp_coordinator.metrics.arrays import join_rows, take_rows
-from qdgrasp_coordinator.metrics.grasp_quality import recorded_margins
+from qdgrasp_coordinator.metrics.grasp_quality import object_motion
 from qdgrasp_coordinator.metrics.run_stats import evaluation_mask
-from qdgrasp_protocol.rows import SHAKES, Outcome, Rows
+from qdgrasp_protocol.rows import SHAKES, TRIALS, Outcome, Rows
 from qdgrasp_protocol.spec import Overlaps, RunSpec
 
 ROBUST = Outcome.HELD - Outcome.DROPPED  # Survival of what is held, and its entry in reference sets
@@ -43,9 +42,14 @@ class TrialPlan:
         """Return the plan of a spec."""
         return cls(spec.trial_count, spec.disturbances)
 
+    @property
+    def usual(self) -> int:
+        """Trials that eta is of; those after them are the harder ones."""
+        return min(self.trials, TRIALS)
+
     def eta(self, scores: NDArray[np.number]) -> Floats:
         """Return eta, 0 to 1, of scores (n,)."""
-        return scores.astype(np.float64) / (self.disturbances * max(1, self.trials))
+        return scores.astype(np.float64) / (self.disturbances * max(1, self.usual))
 
 
 NO_TRIALS = TrialPlan()
@@ -79,7 +83,7 @@ def survival(rows: Rows) -> NDArray[np.uint8]:
     return np.asarray(rows["outcome"] - np.uint8(Outcome.DROPPED))
 
 
-COLUMNS = ("numbers", "evaluations", "scores", "trials")  # Of successes, beside their rows
+COLUMNS = ("numbers", "evaluations", "scores", "trials", "eta_hard")  # Of successes, beside their rows
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,9 @@ class Successes:
     scores: Floats
     """(n,): the fitness that a search is told; NaN while trials are missing."""
     trials: NDArray[np.int64]
-    """(n,): their trials that are recorded."""
+    """(n,): their trials that are recorded, without the harder ones."""
+    eta_hard: Floats
+    """(n,): share of disturbances survived in the harder trials; NaN where there are none."""
     stop: int
     """Number of the row from which to read on: the first whose trials are missing, if there is one."""
 
@@ -180,7 +186,8 @@ def _is_success(rows: Rows) -> NDArray[np.bool_]:
 
 
 def _unscored(numbers: NDArray[np.int64], rows: Rows, evaluations: NDArray[np.int64]) -> Successes:
-    return Successes(numbers, rows, evaluations, np.zeros(len(rows)), np.zeros(len(rows), np.int64), 0)
+    zeros, unknown = np.zeros(len(rows)), np.full(len(rows), np.nan)
+    return Successes(numbers, rows, evaluations, zeros, zeros.astype(np.int64), unknown, 0)
 
 
 def _scored(found: Successes, fitness: NDArray[np.float32], plan: TrialPlan, stop: int) -> Successes:
@@ -190,35 +197,29 @@ def _scored(found: Successes, fitness: NDArray[np.float32], plan: TrialPlan, sto
         scores[is_success] = found.rows["fitness"][is_success]
         return replace(found, scores=scores, stop=stop)
     n = int(np.count_nonzero(is_success))
-    trials[is_success] = np.clip(len(fitness) - plan.trials * np.arange(n), 0, plan.trials)
+    trials[is_success] = np.clip(len(fitness) - plan.trials * np.arange(n), 0, plan.usual)
     whole = min(n, len(fitness) // plan.trials)
-    sums = fitness[: whole * plan.trials].reshape(-1, plan.trials).sum(axis=1, dtype=np.float64)
-    scores[is_success] = np.concatenate([sums, np.full(n - whole, np.nan)])
-    return replace(found, scores=scores, trials=trials, stop=stop)
+    each = fitness[: whole * plan.trials].reshape(-1, plan.trials).astype(np.float64)
+    places, hard = np.flatnonzero(is_success), found.eta_hard.copy()
+    scores[places], scores[places[:whole]] = np.nan, each[:, : plan.usual].sum(axis=1)
+    if plan.trials > plan.usual:
+        hard[places[:whole]] = each[:, plan.usual :].mean(axis=1) / plan.disturbances
+    return replace(found, scores=scores, trials=trials, eta_hard=hard, stop=stop)
 
 
 def genome_numbers(rows: Rows) -> NDArray[np.uint64]:
     """One number for the genome of each row, ascending in the journal of one run: (n,)."""
-    numbers: NDArray[np.uint64] = (rows["generation"].astype(np.uint64) << np.uint64(32)) | rows["index"]
-    return numbers
+    return np.asarray((rows["generation"].astype(np.uint64) << np.uint64(32)) | rows["index"])
 
 
-def best_first(
-    rows: Rows, body: SceneObject, most: int, scores: NDArray[np.floating] | None = None
-) -> NDArray[np.int64]:
-    """The places (n,) of nominal rows on an object; the first `most` are the best ones.
+def best_first(rows: Rows, scores: ArrayLike = 0.0, eta_hard: ArrayLike = np.nan) -> NDArray[np.int64]:
+    """The places (n,) of nominal rows, the best first.
 
-    One row is better than another with a greater score (n,); of equals with a greater fitness; of equals with
-    a greater margin, which says more of a grasp than its penetration (docs/coverage.md, "Margin of a grasp");
-    of equals with less penetration; of equals with more contacts; of equals the earlier one in the journal. A
-    score or margin that is not known is worse than any. Margins take some milliseconds each: they are
-    computed where they decide.
+    By greater score (n,), then greater `eta_hard` (n,), greater fitness, less motion of the object while the
+    hand closed, less penetration, more contacts, earlier row; what is not known is worse than any. The margin
+    of contacts ranks no better than chance, and has no part (docs/results.md).
     """
-    known = np.zeros(len(rows)) if scores is None else np.nan_to_num(scores, nan=-1.0)
-    order, margins = np.lexsort((-rows["fitness"], -known)), np.full(len(rows), -1.0)
-    if len(rows):
-        last = order[min(most, len(rows)) - 1]
-        ahead = (known > known[last]) | ((known == known[last]) & (rows["fitness"] >= rows["fitness"][last]))
-        margins[ahead] = np.nan_to_num(recorded_margins(rows[ahead], body), nan=-1.0)
+    known, hard = (np.full(len(rows), np.nan_to_num(each, nan=-1.0)) for each in (scores, eta_hard))
+    motion = np.nan_to_num(object_motion(rows)[:, 0], nan=np.inf)
     elder_last, contacts = (rows["index"], rows["generation"]), rows["contacts"].astype(np.int64)
-    return np.lexsort((*elder_last, -contacts, rows["penetration"], -margins, -rows["fitness"], -known))
+    return np.lexsort((*elder_last, -contacts, rows["penetration"], motion, -rows["fitness"], -hard, -known))

@@ -5,7 +5,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from qdgrasp_assets.scene import SceneObject
 from qdgrasp_coordinator.metrics.cells import GenomeReader, cell_keys, cells, niches, without_synergy
 from qdgrasp_coordinator.metrics.contact_niches import contact_niches
 from qdgrasp_coordinator.metrics.grasp_quality import (
@@ -29,7 +28,7 @@ from qdgrasp_protocol.text import counted
 RANKS_SHOWN = 10  # Grasps that are shown to a person
 ETA_DIGITS = 4  # Their decimals, at most
 RANKING_COLUMNS = (
-    "rank", "eta", "eta_error", "trials", "nominal_fitness",
+    "rank", "eta", "eta_hard", "eta_error", "trials", "nominal_fitness",
     "source_generation", "source_index", "source_fitness",
     "cell_x", "cell_y", "cell_z", "x", "y", "z", "qx", "qy", "qz", "qw",
     "settled_x", "settled_y", "settled_z", "settled_qx", "settled_qy", "settled_qz", "settled_qw",
@@ -90,19 +89,13 @@ def reachable_grasps(
     return rows
 
 
-def best_of_kinds(rows: Rows, most: int, body: SceneObject, kinds: NDArray[np.int64] | None = None) -> Rows:
+def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:
     """Return the best row of each kind, and of these the `most` best, best first.
 
-    `kinds` (n,) are equal for rows of a kind; None: their 1 cm cells. `best_first` orders rows, by
-    margins of their contacts with the object, which take some milliseconds each.
+    `kinds` (n,) are equal for rows of a kind; None: their 1 cm cells. `best_first` orders rows.
     """
     kinds = cell_keys(cells(rows["descriptor"][:, :3])) if kinds is None else kinds
-    order = np.argsort(-rows["fitness"], kind="stable")
-    _, first = np.unique(kinds[order], return_index=True)
-    best = np.sort(rows["fitness"][order[first]])[-most:]
-    decisive = rows["fitness"] >= best.min(initial=np.inf)  # no other row can be among the best
-    rows, kinds = rows[decisive], kinds[decisive]
-    order = best_first(rows, body, len(rows))
+    order = best_first(rows)
     _, first = np.unique(kinds[order], return_index=True)
     return rows[order[np.sort(first)]][:most]
 
@@ -137,15 +130,15 @@ def write_ranking(folder: RunFolder) -> str:
     table = rank_poses(folder)
     rows = [dict(zip(RANKING_COLUMNS, (f"{value:.9g}" for value in line), strict=True)) for line in table]
     outputs.replace(folder.path / RANKING, csv_text(rows, RANKING_COLUMNS).encode())
-    shown = [[f"{round(value, ETA_DIGITS):g}" for value in line[:11]] for line in table[:RANKS_SHOWN]]
-    text = aligned_text([RANKING_COLUMNS[:11], *shown])
+    shown = [[f"{round(value, ETA_DIGITS):g}" for value in line[:12]] for line in table[:RANKS_SHOWN]]
+    text = aligned_text([RANKING_COLUMNS[:12], *shown])
     return f"{text}\n{counted(len(table), 'grasp')} ranked in {folder.path / RANKING}"
 
 
 def rank_poses(folder: RunFolder) -> list[list[float]]:
     """Rank a run's poses, best first, ties in their order; each as in `RANKING_COLUMNS`.
 
-    The greatest eta comes first. A pose that is no success any more has eta 0: it has no trials.
+    By eta (`best_first`). A pose that is no success any more has eta 0: it has no trials.
     """
     try:
         source = msgspec.json.decode(outputs.read(folder.path / SOURCE), type=RankingSource)
@@ -158,10 +151,10 @@ def rank_poses(folder: RunFolder) -> list[list[float]]:
     if settled_mask(rows).any():
         margins = recorded_margins(rows, folder.scene().object)
     columns = (
-        *(etas, eta_error(etas, trials), trials, rows["fitness"]),
+        *(etas, found.eta_hard, eta_error(etas, trials), trials, rows["fitness"]),
         [msgspec.structs.astuple(source.rows[place]) for place in range(len(rows))],
         *(cells(rows["descriptor"][:, :3]), rows["base_to_object"], settled),
         *(rows["penetration"], object_motion(rows)[:, 0] / MM, margins),
     )
-    ordered = np.column_stack(columns)[np.lexsort((-etas, -trials))]
+    ordered = np.column_stack(columns)[best_first(rows, np.where(trials > 0, etas, -1.0), found.eta_hard)]
     return [[rank, *line] for rank, line in enumerate(ordered.tolist(), start=1)]

@@ -70,7 +70,7 @@ def export(
         ),
     ] = 0.0,
     top: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Only the N best: by eta, fitness, margin.")
+        int | None, typer.Option(min=1, metavar="N", help="Only the N best: by eta, fitness, motion.")
     ] = None,
     diverse: Annotated[
         int | None,

@@ -17,7 +17,7 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EndedEarly, FolderError, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
-from qdgrasp_protocol.rows import GIVEN, LIFT, TRIAL_COUNTS, TRIALS, Rows
+from qdgrasp_protocol.rows import GIVEN, HARD_TRIALS, LIFT, TRIAL_COUNTS, TRIALS, Rows
 from qdgrasp_protocol.spec import (
     DEFAULT_ENGINE,
     GOAL_KEYS,
@@ -202,7 +202,9 @@ def rerank(
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
     ] = 100,
-    trials: Annotated[int, typer.Option(min=1, max=TRIALS, help="How many trials each has.")] = TRIALS,
+    trials: Annotated[
+        int, typer.Option(min=1, max=TRIALS, help="Trials of each; 20 harder after 100.")
+    ] = TRIALS,
     max_penetration: options.MaxPenetration = None,
     max_motion: options.MaxMotion = None,
     min_margin: options.MinMargin = None,
@@ -237,7 +239,7 @@ def rerank(
     if ways:
         found = source_runs.reachable_grasps(source, found, **ways)
     kinds = source_runs.kinds_of_run(source.spec, found, genome_reader(source))
-    chosen = source_runs.best_of_kinds(found, top, source.scene().object, kinds)
+    chosen = source_runs.best_of_kinds(found, top, kinds)
     spec = rerank_spec(source, chosen, base, engine, protocol=protocol, trials=trials, **ways)
     count = options.worker_count(workers, spec.engine)
     config = LocalJobConfig(count, listen, security, insecure)
@@ -267,6 +269,8 @@ def rerank_spec(
     genomes = as_given(source.scene(), prior_of(source.spec), chosen)
     poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
     disturbed = base or ("physical" if source.spec.nominal_protocol in ("physical", LIFT) else "paper")
+    if disturbed == "physical" and asked.get("trials") == TRIALS:
+        asked["trials"] += HARD_TRIALS
     values = to_values(source.spec) | {
         "method": GIVEN,
         "base": disturbed,

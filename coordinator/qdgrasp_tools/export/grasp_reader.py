@@ -76,7 +76,8 @@ def read_journal(
         engine: verdicts(table, found.numbers, found.rows["outcome"]) for engine, table in tables.items()
     }
     name = name or folder.path.absolute().name
-    return Grasps(folder.scene(), folder.spec, name, found.numbers, found.rows, eta, trials, elsewhere)
+    scene, spec, hard = folder.scene(), folder.spec, found.eta_hard
+    return Grasps(scene, spec, name, found.numbers, found.rows, eta, trials, hard, elsewhere)
 
 
 NO_APPROACH = (None, None, 0.0, None)
@@ -92,7 +93,7 @@ class GraspChoice:
     min_quality: float = 0.0
     """Least confidence, 0 to 1."""
     top: int | None = None
-    """At most so many, the best first: by the lower bound of eta where known, fitness and margin."""
+    """At most so many, the best first: by the lower bound of eta where known (`best_first`)."""
     diverse: int | None = None
     """At most so many, each as far as can be from those before it (`spread_places`), the best first."""
     limits: GraspLimits = NO_LIMITS
@@ -135,8 +136,7 @@ def select_grasps(grasps: Grasps, choice: GraspChoice = ALL_GRASPS) -> Grasps:
     if choice.top is None and choice.diverse is None:
         return chosen
     bounds = eta_bounds(chosen.eta, np.maximum(chosen.trials, 1))[0]
-    best = best_first(chosen.rows, chosen.scene.object, choice.top or 1, bounds)
-    chosen = chosen[best[: choice.top]]
+    chosen = chosen[best_first(chosen.rows, bounds, chosen.eta_hard)[: choice.top]]
     return chosen if choice.diverse is None else chosen[spread_places(chosen, choice.diverse)]
 
 

@@ -168,6 +168,8 @@ class Grasps:
     """(n,): estimated probability of transfer; NaN where too few trials of a success are there."""
     trials: NDArray[np.int64]
     """(n,): numbers of trials behind eta."""
+    eta_hard: Floats
+    """(n,): share of disturbances survived in the harder trials; NaN where there are none."""
     elsewhere: dict[str, Verdicts] = field(default_factory=dict)
     """Outcome and fitness (n,) in other engines that the run has a table of; -1 and NaN: not known."""
     approach: "ReachabilityCheck | None" = None
@@ -194,6 +196,7 @@ class Grasps:
             rows=take_rows(self.rows, places),
             eta=self.eta[places],
             trials=self.trials[places],
+            eta_hard=self.eta_hard[places],
             elsewhere={name: values[places] for name, values in self.elsewhere.items()},
         )
 
@@ -450,9 +453,9 @@ class Grasps:
             yield GraspColumn(f"{name}_outcome", words, f"how it ended in {name}; none: not evaluated there")
             yield GraspColumn(f"{name}_fitness", verdicts["fitness"], f"disturbances survived in {name}")
         yield GraspColumn("eta", self.eta, "estimated probability of transfer; none where it is not known")
-        error = "standard error of eta, for the number of trials alone; none where eta is not known"
-        yield GraspColumn("eta_error", self.eta_error, error)
+        yield GraspColumn("eta_error", self.eta_error, "its standard error, for the number of trials alone")
         yield GraspColumn("trials", self.trials, "disturbed trials that eta is of")
+        yield GraspColumn("eta_hard", self.eta_hard, "survival of harder trials, for grasps of equal eta")
         yield GraspColumn("confidence", self.confidence, "0 to 1, higher is better")
         for begin, kind, of in (("", "commanded", poses), (SETTLED, "settled", settled)):
             for name, values in zip(POSE, of.T, strict=True):
@@ -483,14 +486,9 @@ class Grasps:
         for name, values in zip("xyz", self.approach_directions.T, strict=True):
             yield GraspColumn(f"approach_{name}", values, "direction in which the hand comes, object's frame")
         for name, values in zip("xyz", self.approach_poses(frame).T[:3], strict=True):
-            start = "where it comes from, turned as at the commanded pose, object's frame [m]"
-            yield GraspColumn(f"approach_from_{name}", values, start)
-        is_clear = self.reach.is_clear.astype(np.uint8)
-        yield GraspColumn("approach_clear", is_clear, "1: it touches nothing on its way")
+            yield GraspColumn(f"approach_from_{name}", values, "where it comes from, object's frame [m]")
+        yield GraspColumn("approach_clear", self.reach.is_clear.astype(np.uint8), "1: nothing is on its way")
         if has_table:
             words = np.array([" ".join(map(str, numbers)) for numbers in self.resting_poses], dtype=str)
-            yield GraspColumn(
-                "resting_poses", words, "the object's resting poses in which it comes above the table"
-            )
-            share = "probability of these resting poses"
-            yield GraspColumn("resting_probability", self.reach.probability, share)
+            yield GraspColumn("resting_poses", words, "resting poses in which it comes above the table")
+            yield GraspColumn("resting_probability", self.reach.probability, "probability of these")

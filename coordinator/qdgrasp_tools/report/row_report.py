@@ -118,8 +118,8 @@ def row_report(folder: RunFolder, number: int) -> dict[str, Any]:
     scene, prior = folder.scene(), prior_of(spec)
     eta, error = None, None
     if 0 < plan.trials <= len(repeats):
-        eta = float(plan.eta(np.array([sum(repeats)]))[0])
-        error = float(eta_error(np.array([eta]), np.array([len(repeats)]))[0])
+        eta = float(plan.eta(np.array([sum(repeats[: plan.usual])]))[0])
+        error = float(eta_error(np.array([eta]), np.array([plan.usual]))[0])
     return {
         "folder": str(folder.path),
         "run": found_by.run,

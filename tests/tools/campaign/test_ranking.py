@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from tests.coordinator.recorded_runs import record_spec
-from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.metrics import successes
 from qdgrasp_coordinator.metrics.cells import MIDDLES, GenomeReader, cell_keys, cells
+from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes, best_first
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
@@ -27,7 +25,6 @@ from qdgrasp_tools.campaign.source_runs import (
 
 SHAPE = RowShape(genes=7, joints=2)
 TRIALS = 100
-BODY = made_scene().object
 
 
 def spec(protocol: str = "paper", population: int = 50) -> RunSpec:
@@ -51,18 +48,29 @@ def trials_of(row: np.void, total: int) -> Rows:
     return made
 
 
-def test_of_equal_fitness_the_greater_margin_is_better_whatever_the_penetration(monkeypatch) -> None:
-    asked: list[int] = []
+def test_of_equals_the_harder_trials_decide_and_then_how_little_the_object_moved() -> None:
+    found = RowShape(genes=7, joints=2, contact_slots=1).empty(5)
+    found["index"], found["outcome"], found["fitness"] = np.arange(5), Outcome.HELD, 6
+    found["base_to_object"][:, 6] = found["settled"][:, 6] = 1
+    found["settled"][:, 0] = [0.009, 0.003, 0.002, 0.001, 0.004]
+    found["settled"][3] = 0  # not recorded
+    assert best_first(found).tolist() == [2, 1, 4, 0, 3]
+    scores, hard = np.array([0.9, 0.9, 0.9, 0.9, 1.0]), np.array([0.7, np.nan, 0.2, 0.7, 0.0])
+    assert best_first(found, scores, hard).tolist() == [4, 0, 3, 2, 1]
 
-    def margins(rows: Rows, body: object) -> NDArray[np.float64]:
-        asked.extend(rows["index"].tolist())
-        return np.array([0.02, np.nan, 0.0, 0.03])[rows["index"]]
 
-    monkeypatch.setattr(successes, "recorded_margins", margins)
-    found = rows(*[Outcome.HELD] * 3, Outcome.SHAKEN)
-    found["penetration"] = [0.003, 0.001, 0.002, 0.0]
-    assert best_of_kinds(found, 3, BODY)["index"].tolist() == [0, 2, 1]
-    assert asked == [0, 1, 2]  # the fourth cannot be among the best
+def test_trials_after_the_hundredth_count_apart_from_eta() -> None:
+    found = rows(Outcome.HELD, Outcome.MISSED, Outcome.HELD)
+    trials = np.repeat(found[[0, 2]], TRIALS + 2)
+    trials["trial"], trials["fitness"] = np.tile(np.arange(1, TRIALS + 3), 2), 6
+    trials["fitness"][[TRIALS, TRIALS + 1]] = [0, 3]
+    plan = TrialPlan(TRIALS + 2, 6)
+    known = all_successes(np.concatenate([found, trials]), plan)
+    assert plan.eta(known.scores).tolist() == [1, 1]
+    assert known.eta_hard.tolist() == [0.25, 1]
+    assert known.trials.tolist() == [TRIALS, TRIALS]
+    lacking = all_successes(np.concatenate([found, trials[:-1]]), plan)
+    assert np.isnan([lacking.scores[1], lacking.eta_hard[1]]).all()
 
 
 @given(st.integers(0, 2**32), st.integers(1, 60))
@@ -72,8 +80,8 @@ def test_the_best_of_each_cell_are_taken_whatever_the_order_of_rows(seed: int, m
     found["descriptor"] = random.integers(0, 3, (60, 3)) / 100
     for column, high in (("fitness", 3), ("penetration", 2), ("contacts", 3)):
         found[column] = random.integers(0, high, 60)
-    chosen = best_of_kinds(found, most, BODY)
-    assert best_of_kinds(random.permutation(found), most, BODY).tobytes() == chosen.tobytes()
+    chosen = best_of_kinds(found, most)
+    assert best_of_kinds(random.permutation(found), most).tobytes() == chosen.tobytes()
     places = cell_keys(cells(chosen["descriptor"]))
     assert len(set(places)) == len(chosen) == min(most, len(set(cell_keys(cells(found["descriptor"])))))
     for place, row in zip(places, chosen, strict=True):
@@ -91,7 +99,7 @@ def test_grasps_are_told_apart_as_the_search_did(diversity, chosen) -> None:
     found["genome"][:, 0] = [0.0, 0.0, 2.0]
     asked = RunSpec(gripper="hand", object="thing", diversity=diversity)
     kinds = kinds_of_run(asked, found, reader)
-    assert best_of_kinds(found, 4, BODY, kinds)["index"].tolist() == chosen
+    assert best_of_kinds(found, 4, kinds)["index"].tolist() == chosen
 
 
 def test_a_ranking_is_by_eta_and_names_the_rows_that_it_came_from(tmp_path: Path) -> None:
@@ -105,7 +113,7 @@ def test_a_ranking_is_by_eta_and_names_the_rows_that_it_came_from(tmp_path: Path
     (noted,) = source_file(RunFolder(tmp_path / "first"), source).items()
     (folder.path / noted[0]).write_bytes(noted[1])
     assert is_reranking(folder)
-    assert [(line[1], *line[3:8]) for line in rank_poses(folder)] == [
+    assert [(line[1], *line[4:9]) for line in rank_poses(folder)] == [
         (0.75, 100, 2, 7, 3, 2),
         (0.75, 100, 1, 7, 2, 2),
         (0.1, 100, 2, 7, 11, 2),

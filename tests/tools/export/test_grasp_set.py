@@ -9,7 +9,6 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 from tests.tools.export.conftest import COM, MakeRun
 
-from qdgrasp_coordinator.metrics import successes
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run, select_grasps, spread_places
@@ -66,13 +65,12 @@ def test_those_that_are_good_enough_are_taken_in_their_order(grasps, least, expe
     assert (np.diff(chosen.numbers) > 0).all()
 
 
-def test_the_best_come_first(grasps: Grasps, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(successes, "recorded_margins", lambda rows, body: rows["penetration"])
+def test_the_best_come_first(grasps: Grasps) -> None:
     chosen = select_grasps(grasps, GraspChoice(top=50))
     robust = grasps[grasps.fitness == 2]
     assert len(chosen) == 50
     assert (chosen.fitness[:40] == 2).all()
-    assert chosen.rows["penetration"][:40].tolist() == sorted(robust.rows["penetration"], reverse=True)
+    assert chosen.motion[:40, 0].tolist() == sorted(robust.motion[:, 0])
 
 
 def test_a_known_eta_goes_before_fitness(grasps: Grasps) -> None:

@@ -80,7 +80,7 @@ class BulletWorld(GraspWorld):
         In this order a pose gives the same bits after any other poses: a collision detection with the
         hand away empties Bullet's cache of contacts, which would otherwise be carried over.
         """
-        hand, target = self._hand, self._target
+        hand, target, self.trial = self._hand, self._target, trial
         self._bullet.setPhysicsEngineParameter(
             contactBreakingThreshold=self._breaking_threshold
         )  # process-wide
@@ -88,7 +88,8 @@ class BulletWorld(GraspWorld):
         hand.set_joints(hand.joints, [*hand.at_zero, *posture])
         target.place(STILL, UPRIGHT)
         self._bullet.resetBaseVelocity(target.body, STILL, STILL)
-        target.set_friction(trial.grip * target.lateral_friction, *(trial.frictions or target.frictions))
+        rolling, spinning = trial.frictions or target.frictions
+        target.set_friction(trial.grip * target.lateral_friction, rolling, trial.torsion * spinning)
         self._bullet.performCollisionDetection()
         self.place_hand(trial.pose)
         self._detected_at = target.pose
@@ -270,7 +271,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         """Fix the object and begin to close; a ValueError for a synergy that the hand does not have."""
         names = self.closing_joints(synergy)
         self._target.set_inertia(0.0, self._moments)
-        self._control.start(self._posture, names)
+        self._control.start(self._posture, names, self.trial.preload)
 
     def release(self) -> None:
         """Release the object, damped; the targets of a jaw move on, others stay."""

@@ -101,11 +101,18 @@ class BatchWorlds(ABC):
 class FingerControls:
     """`FingerControl` of n worlds at once, with the same numbers.
 
-    `closing` (n, j) says which joints close from the postures (n, j) [m or rad]; the others stay.
+    `closing` (n, j) says which joints close from the postures (n, j) [m or rad]; the others stay. `preload`
+    (n, 1) are factors of the forces with which they grip.
     """
 
     def __init__(
-        self, drives: Sequence[FingerDrive], postures: Floats, closing: NDArray[np.bool_], *, is_coupled: bool
+        self,
+        drives: Sequence[FingerDrive],
+        postures: Floats,
+        closing: NDArray[np.bool_],
+        *,
+        is_coupled: bool,
+        preload: Floats | float = 1.0,
     ) -> None:
         def column(name: str) -> Floats:
             return np.array([getattr(drive, name) for drive in drives], dtype=np.float64)
@@ -115,6 +122,7 @@ class FingerControls:
         closed = column("closed")
         self._way = closed - self._opened
         self._senses = np.where(closing, np.sign(closed - postures), 0.0)
+        self._ahead = preload * np.broadcast_to(self._lead, postures.shape)
         ends = np.minimum(np.maximum(closed + self._senses * self._lead, column("lowest")), column("highest"))
         self._ends = np.where(closing, ends, postures)
         self.targets = postures.copy()
@@ -128,7 +136,7 @@ class FingerControls:
         """Advance the targets of these worlds by their joints' positions (k, j); return them (k, j)."""
         senses, targets = self._senses[rows], self.targets[rows]
         places = self._mean_places(senses, positions) if self._is_coupled else positions
-        ahead = np.minimum(senses * targets + self._speed * seconds, senses * places + self._lead)
+        ahead = np.minimum(senses * targets + self._speed * seconds, senses * places + self._ahead[rows])
         ahead = np.minimum(ahead, senses * self._ends[rows])
         self.targets[rows] = walked = np.where(senses != 0.0, senses * ahead, targets)
         return walked
@@ -196,6 +204,10 @@ class LockstepEpisodes:
             states["damping"] = np.zeros((n, 0))
         return states
 
+    def _column(self, factor: str) -> Floats:
+        """A factor of the trials (n, 1)."""
+        return np.array([[getattr(setup, factor)] for setup in self._setups])
+
     def _closing(self, setup: TrialSetup) -> list[str]:
         return self._world.closing_joints(setup.pose.synergy)
 
@@ -204,7 +216,8 @@ class LockstepEpisodes:
         names = [self._closing(setup) for setup in self._setups]
         drives = self._world.drives
         closing = np.array([[drive.name in each for drive in drives] for each in names])
-        self._control = FingerControls(drives, self._joints, closing, is_coupled=self._world.is_coupled)
+        preload, is_coupled = self._column("preload"), self._world.is_coupled
+        self._control = FingerControls(drives, self._joints, closing, is_coupled=is_coupled, preload=preload)
         self._enter(self._fixed, self._world.fixed)
         touched = np.zeros(len(names), dtype=bool)
 
@@ -273,7 +286,7 @@ class LockstepEpisodes:
 
         held = rows
         for direction in PUSHES:
-            self._states["force"][:] = np.multiply(direction, self._world.push_force)
+            self._states["force"][:] = np.multiply(direction, self._world.push_force) * self._column("load")
             self._step_to_rest(held, most, look, lost)
             held = held[~lost[held]]
             survived[held] += 1

@@ -83,7 +83,7 @@ class MujocoWorld(GraspWorld):
 
     def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
         """Put hand and object in place, at rest, without any state of earlier evaluations."""
-        self._friction = self.friction(trial)
+        self.trial, self._friction = trial, self.friction(trial)
         self._posture = list(posture)
         self._now = self.free
         self._now.reset(posture, self._friction)
@@ -245,7 +245,8 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
 
     def friction(self, trial: TrialSetup) -> tuple[float, float, float]:
         """Friction of hand and object, which is the object's alone."""
-        return trial.grip * self._target.lateral_friction, self.physics.spinning, self.physics.rolling
+        lateral, physics = trial.grip * self._target.lateral_friction, self.physics
+        return lateral, trial.torsion * physics.spinning, physics.rolling
 
     def reset(self, trial: TrialSetup, posture: Sequence[float]) -> None:
         """Put hand, object and table in place, at rest, without any state of earlier evaluations."""
@@ -256,7 +257,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
     def close_fingers(self, synergy: int) -> None:
         """Fix the object and begin to close; a ValueError for a synergy that the hand does not have."""
         self._closing = self.closing_joints(synergy)
-        self._control.start(self._posture, self._closing)
+        self._control.start(self._posture, self._closing, self.trial.preload)
         place = self.free.object_pose()
         self._now = self.fixed
         self._now.reset(self._posture, self._friction)
