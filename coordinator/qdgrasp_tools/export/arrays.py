@@ -4,7 +4,8 @@ DexGraspBench (JYChen18/DexGraspBench, main of June 2025; BODex's data too): the
 below a folder, a pickled dict of one grasp: `pregrasp_qpos`, `grasp_qpos` and `squeeze_qpos`
 (7 + j,), position [m] and quaternion wxyz of the root of the hand's MJCF and its joints in that order;
 `obj_pose` (7,) alike; `obj_scale`; `obj_path`, a folder with convex parts and `info/simplified.json`. The
-hand moves from the first, the commanded pose, to the others, the settled one; the object is at the origin.
+hand moves from the first to the others. All have the settled pose, the first with fingers a little open, as
+those of BODex; from the commanded pose linear motion pushes the object away. It is at the origin.
 
 MolmoSpaces (allenai/molmospaces, August 2026): a library has `OBJECT/ROBOT/grasps.npz` with `transforms`
 (n, 4, 4), the frame between the open fingertips in that of the object, +z forward, fingers along y.
@@ -40,6 +41,7 @@ in order. Other hands keep their root link and order.
 ASSETS, DATA, ABOUT = "assets", "graspdata", "qdgrasp.json"
 FOLDERS = {ASSETS, DATA, ABOUT}
 WXYZ = [0, 1, 2, 6, 3, 4, 5]  # Places in a pose, xyz and xyzw, of one with the quaternion as w, x, y, z
+NEAR = 0.1  # Most that fingers are open before a grasp, from which they arrive together [rad or m]
 PADS = 0.009  # Distance of the middle of a fingertip's pad from its end, as of Franka's own TCP [m]
 
 
@@ -50,8 +52,9 @@ def write_dexgraspbench(path: Path, table: RunTable) -> None:
     if not set(joint_order) <= set(names):
         pose, joint_order = NO_TURN, names
     root, order = to_matrices(np.array([pose])), [names.index(name) for name in joint_order]
+    opened = table.joints - np.clip(table.joints - table.pregrasp, -NEAR, NEAR)
     kinds = {
-        "pregrasp_qpos": (table.poses, table.pregrasp),
+        "pregrasp_qpos": (table.grasp_poses, opened),
         "grasp_qpos": (table.grasp_poses, table.joints),
         "squeeze_qpos": (table.grasp_poses, table.squeeze),
     }

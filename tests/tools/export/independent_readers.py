@@ -336,12 +336,19 @@ def dexgraspbench(path: Path) -> Read:
     np.testing.assert_array_equal(poses["squeeze"], poses["grasp"])
     joints = {kind: columns(about["joint_order"], values[:, 7:]) for kind, values in qpos.items()}
     lists = about["grasps"]
+    starts = {name: np.array(lists[f"pregrasp.{name}"]) for name in about["joint_order"]}
+    np.testing.assert_array_equal(poses["pregrasp"], poses["grasp"])
+    for name, start in starts.items():
+        way = start - joints["grasp"][name]
+        np.testing.assert_allclose(
+            joints["pregrasp"][name], joints["grasp"][name] + way.clip(-0.1, 0.1), atol=1e-7
+        )
     return Read(
-        poses["pregrasp"],
+        homogeneous(np.transpose([lists[axis] for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")])),
         poses["grasp"],
         np.array(lists["confidence"]),
         joints["grasp"],
-        joints["pregrasp"],
+        starts,
         joints["squeeze"],
         np.array(lists["penetration"]),
         about,
