@@ -4,8 +4,8 @@ DexGraspBench (JYChen18/DexGraspBench, main of June 2025; BODex's data too): the
 below a folder, a pickled dict of one grasp: `pregrasp_qpos`, `grasp_qpos` and `squeeze_qpos`
 (7 + j,), position [m] and quaternion wxyz of the root of the hand's MJCF and its joints in that order;
 `obj_pose` (7,) alike; `obj_scale`; `obj_path`, a folder with convex parts and `info/simplified.json`. The
-hand moves from the first to the others. All have the settled pose, the first with fingers a little open, as
-those of BODex; from the commanded pose linear motion pushes the object away. It is at the origin.
+hand moves from the first to the others. All have the settled pose, the first with fingers a little
+open: from the commanded pose linear motion pushes the object away. It is at the origin.
 
 MolmoSpaces (allenai/molmospaces, August 2026): a library has `OBJECT/ROBOT/grasps.npz` with `transforms`
 (n, 4, 4), the frame between the open fingertips in that of the object, +z forward, fingers along y.
