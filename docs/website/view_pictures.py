@@ -8,12 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from docs.website.monitor_pictures import SETTLED, save
+from docs.website.monitor_pictures import PICTURED, SETTLED, save
 from tests import browser
 from tests.browser import Visit
 from tests.system.commands import Commands
-
-SLIDE = "(node, to) => { node.value = to; node.dispatchEvent(new Event('input')); }"
 
 
 def main(out: Path, *runs: str) -> None:
@@ -44,7 +42,7 @@ def grasp(chromium: Any, place: str, out: Path) -> None:
     page.locator("#grasp h4").wait_for()
     take(page, out / "grasp-desktop-light.png")
     page = opened(chromium, place, color_scheme="light")
-    page.keyboard.press("n")
+    page.locator("#scene-best button").nth(2).click()
     page.get_by_role("button", name="Keep beside").click()
     page.locator("#scene-best button").nth(4).click()
     page.get_by_role("button", name="Draw the frames").click()
@@ -56,7 +54,9 @@ def filtered(chromium: Any, place: str, out: Path) -> None:
     for phone, name in ((False, "filters-desktop-dark"), (True, "filters-phone-dark")):
         page = opened(chromium, place, phone=phone, color_scheme="dark")
         page.get_by_label("Synergy").select_option(index=1)
-        page.get_by_label("z lowest").evaluate(SLIDE, 3)
+        page.get_by_label("z lowest").fill("3")
+        for button in page.locator("[aria-pressed=true]", has_text="Cut open").all():
+            button.click()  # so that all cells that pass are there
         page.locator("#scene").press("-")  # the box is larger than the cells
         page.locator("#scene").blur()
         take(page, out / f"{name}.png", full_page=phone)
@@ -72,6 +72,7 @@ def opened(chromium: Any, place: str, **looks: Any) -> Any:
 def take(page: Any, path: Path, *, full_page: bool = False) -> None:
     """A picture of a page that has come to rest."""
     page.wait_for_timeout(SETTLED)
+    page.wait_for_function(PICTURED)
     save(page.screenshot(full_page=full_page), path)
 
 
