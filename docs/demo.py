@@ -88,7 +88,7 @@ def _spread(scene: Scene, spec: RunSpec, found: Rows) -> Rows:
     """Choose a few well-spread rows of the best outcome."""
     best = found[found["outcome"] == found["outcome"].max(initial=Outcome.DROPPED)]
     unknown, none = np.full(len(best), np.nan), np.zeros(len(best), np.int64)
-    grasps = Grasps(scene, spec, "demo", np.arange(len(best)), best, unknown, none)
+    grasps = Grasps(scene, spec, "demo", np.arange(len(best)), best, unknown, none, unknown)
     return grasps[spread_places(grasps, HANDS)].rows
 
 
