@@ -141,7 +141,7 @@ CUTS: tuple[tuple[str, str], ...] = (
     (r"security init security --host (router|qdgrasp-router|a)\b.*", r"security init for-\1 --host 127.0.0.1"),
     (r"^(qdgrasp security add security \w+ (\S+))", r"\1 --host 127.0.0.1 && cp -r security/\2 \2"),
     (r"--security lab-7", "--security {lab}"),
-    (r"--workers 0 --listen tls/0\.0\.0\.0:7448", "--workers 1 --listen {other}"),
+    (r"--workers 0 --listen tls/0\.0\.0\.0:7447", "--workers 1 --listen {other}"),
     (r"^(curl .*)$", r"until \1; do sleep 0.2; done"),
     (r"--host node7", "--host {hostname}"),
     (r"--host (head|router)\b", "--host 127.0.0.1"),
