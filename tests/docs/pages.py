@@ -138,7 +138,10 @@ CUTS: tuple[tuple[str, str], ...] = (
     (r"--sample \d+", "--sample 5"),
     (r"--pin --grace \d+", "--pin --grace 1"),
     (r"ycb_mug", "mug"),
-    (r"security init security --host (router|qdgrasp-router|a)\b.*", r"security init for-\1 --host 127.0.0.1"),
+    (
+        r"security init security --host (router|qdgrasp-router|a)\b.*",
+        r"security init for-\1 --host 127.0.0.1",
+    ),
     (r"^(qdgrasp security add security \w+ (\S+))", r"\1 --host 127.0.0.1 && cp -r security/\2 \2"),
     (r"--security lab-7", "--security {lab}"),
     (r"--workers 0 --listen tls/0\.0\.0\.0:7447", "--workers 1 --listen {other}"),
