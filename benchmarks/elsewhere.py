@@ -61,7 +61,7 @@ def replayed(bundle: Path, most: int, contacts: str) -> dict[str, NDArray[Any]]:
     cone, impratio, friction, condim = CONTACTS[contacts]
     model.opt.cone, model.opt.impratio = cone, impratio
     model.geom_friction[:], model.geom_condim[:] = (friction, 0.005, 0.0001), condim
-    grasps = dict(np.load(bundle / "grasps.npz"))
+    grasps = dict(np.load(bundle / "grasps.npz", allow_pickle=False))
     is_held = grasps["outcome"] == "held"
     places = np.concatenate([spread(np.flatnonzero(kind), most) for kind in (is_held, ~is_held)])
     arrays = {name: grasps[name][places] for name in ("pose", "opened", "closed")}

@@ -48,7 +48,8 @@ def lifts(model: Any, grasp: dict[str, Any], speeds: Any, *, floats: bool = Fals
 
 if __name__ == "__main__":
     home, most = Path(__file__).parent, int(sys.argv[1]) if len(sys.argv) > 1 else 10
-    model, grasps = mujoco.MjModel.from_xml_path(str(home / "scene.xml")), dict(np.load(home / "grasps.npz"))
+    model = mujoco.MjModel.from_xml_path(str(home / "scene.xml"))
+    grasps = dict(np.load(home / "grasps.npz", allow_pickle=False))
     numbers, arrays = grasps["number"][:most], {key: grasps[key] for key in ("pose", "opened", "closed")}
     lifted = [
         lifts(model, {key: each[n] for key, each in arrays.items()}, grasps["speeds"])
