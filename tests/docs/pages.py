@@ -133,6 +133,7 @@ SECONDS = 400.0
 CUTS: tuple[tuple[str, str], ...] = (
     (r"(--protocol robust .*)--evaluations \d+", r"\1--evaluations 12"),
     (r"--top \d+", "--top 2"),
+    (r"--min-confidence \S+", "--min-confidence 0"),  # so few may all be below it
     (r"--grasps \d+ --evaluations \d+", "--grasps 20 --evaluations 60"),
     (r"(qdgrasp-worker .*)--workers \d+", r"\1--workers 1"),
     (r"--sample \d+", "--sample 5"),
