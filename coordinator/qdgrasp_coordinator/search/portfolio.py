@@ -2,8 +2,8 @@
 
 Four emitters propose poses: draws on the object's surface by one or two priors, grasps that hold turned about
 the line along which their fingers press, and grasps that hold moved into cells beside theirs. A pose is worth
-simulating if its cell is open, and first if its grip is open too; where cells run dry, a second orientation
-in a cell is. What is told of any pose is known to all emitters.
+simulating if its cell is open, and first if its grip is open too, or, of draws, if its grip promises most;
+where cells run dry, a second orientation in a cell is. What is told of any pose is known to all emitters.
 
 Which emitter asks is a bandit on what each gained lately by its cost. A gain is the relative growth of the
 cells and of the contact niches in which a grasp holds; the cost is the steps of physics that its poses took,

@@ -12,7 +12,13 @@ from qdgrasp_assets.geometry.rotation import dot, rotate
 from qdgrasp_coordinator.metrics.cells import cells, orientations
 from qdgrasp_coordinator.metrics.contact_niches import contact_niches
 from qdgrasp_coordinator.search.emitters import NeighbourEmitter, RotationEmitter, SurfaceEmitter
-from qdgrasp_coordinator.search.grasp_map import MOST_TRIES, NOTHING_NEW, GraspMap, Proposals
+from qdgrasp_coordinator.search.grasp_map import (
+    MOST_TRIES,
+    NOTHING_NEW,
+    Explored,
+    GraspMap,
+    Proposals,
+)
 from qdgrasp_coordinator.search.portfolio import EmitterBandit, Portfolio
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_protocol.rows import Outcome
@@ -109,6 +115,13 @@ class TestWorthATry:
         )
         assert len(known) == covered(rows)
         assert not again.any()
+
+    def test_a_grip_that_held_promises_more_than_one_unknown_and_that_than_one_that_failed(self) -> None:
+        grips = Explored()
+        grips.count_tries(np.array([1, 1, 2, 2]))
+        grips.hold(np.array([1]))
+        held, failed, unknown = grips.chances(np.array([1, 2, 3]))
+        assert 1.0 > held > unknown > failed > 0.0
 
 
 class TestBandit:
