@@ -15,9 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-import msgspec
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from qdgrasp_assets.asset_paths import on_asset_path
@@ -26,10 +24,8 @@ from qdgrasp_assets.geometry.surface_points import BULLET_MARGIN
 from qdgrasp_assets.scene import Scene
 from qdgrasp_assets.ycb import PREFIX
 from qdgrasp_coordinator.metrics.arrays import read_arrays
-from qdgrasp_coordinator.metrics.cells import cell_keys, cells
 from qdgrasp_coordinator.metrics.successes import ROBUST
-from qdgrasp_protocol.errors import AssetError, InputError, UnknownName
-from qdgrasp_protocol.text import counted
+from qdgrasp_protocol.errors import AssetError
 
 ARCHIVE_BIN = 0.01  # The bins are this wide or a little wider [m]
 HAND_EXTENT = {"panda_2f": 0.2084, "robotiq_2f": 0.1681, "bh280": 0.3393, "allegro": 0.2498, "shadow": 0.5415}
@@ -124,20 +120,11 @@ class ReferenceSet:
         return replace(self, cells=self.cells[chosen], fitness=self.fitness[chosen])
 
 
-def read_reference(path: Path, name: str) -> ReferenceSet:
-    """Return the set of the object `name` in a file.
-
-    Raises `InputError` where there is no npz file of plain arrays, `AssetError` where it is not a reference
-    set, and `UnknownName` where it has no set for this object; those it has are named.
-    """
-    sets = read_references(path)
-    if name not in sets:
-        raise UnknownName(f"object of the reference set '{path}'", name, sets)
-    return sets[name]
-
-
 def read_references(path: Path) -> dict[str, ReferenceSet]:
-    """All sets in a file by object; raises as `read_reference`."""
+    """Return all sets in a file by object.
+
+    Raises `InputError` where there is no npz file of plain arrays, and `AssetError` where it is no set.
+    """
     arrays = read_arrays(path, "reference set")
     objects = [key.removesuffix(".cm") for key in arrays if key.endswith(".cm")]
     if not objects:
@@ -145,21 +132,6 @@ def read_references(path: Path) -> dict[str, ReferenceSet]:
             f"'{path}' holds no reference set: {EXPECTED_FILE}, found {', '.join(arrays) or 'nothing'}."
         )
     return {name: _checked_set(path, name, arrays) for name in objects}
-
-
-def is_stand_in(run_object: str, reference: ReferenceSet) -> bool:
-    """Return whether a run's object only stands in for the scan that a set was made with.
-
-    The object is given as the run's spec names it. Raises `InputError` where the run is neither on the scan
-    nor on its stand-in: its positions mean something else.
-    """
-    name = reference.object
-    if run_object not in (name, f"ycb_{name}"):
-        raise InputError(
-            f"The set of '{name}' compares with runs on 'ycb_{name}' or on the stand-in '{name}', "
-            f"but this run is on '{run_object}'; name the run's object with --object."
-        )
-    return run_object == name
 
 
 def _checked_set(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceSet:
@@ -211,13 +183,10 @@ class ReferenceLookup:
         """The target of a scene whose object a run's spec calls `run_object`."""
         hand = reference_hand(scene.gripper.name)
         name = scene.object.name.removeprefix(PREFIX)
-        for known in self._candidates(hand, name):
-            try:
-                stand_in = is_stand_in(run_object, known)
-            except InputError:
-                continue
-            if len(known):
-                return CoverageTarget(known, released_archive(scene), stand_in)
+        known = next(self._candidates(hand, name), None) if run_object in (name, PREFIX + name) else None
+        if known is not None and len(known):
+            return CoverageTarget(known, released_archive(scene), stand_in=run_object == name)
+        if known is not None:
             return CoverageTarget(why=f"S_G of {hand} and {name} is empty")
         return CoverageTarget(why=f"no S_G of {hand} and {name}")
 
@@ -231,90 +200,3 @@ class ReferenceLookup:
 
 
 _read_published = cache(read_references)
-
-
-class Coverage(Struct, frozen=True, kw_only=True):
-    """Coverage of a reference set; None where the denominator of a ratio is 0."""
-
-    coverage: float | None
-    """`found` over `size`, 0 to 1."""
-    robust: float | None
-    """`robust_found` over `robust_size`, 0 to 1."""
-    released: float | None
-    """`released_found` over `size`: the authors' code counts elites, not positions."""
-    released_robust: float | None
-    """Elites of fitness 2 whose position is in the set, over `robust_size`; may exceed 1."""
-    size: int
-    """Entries of the set."""
-    found: int
-    """Distinct success positions, rounded to 1 cm, that are in the set."""
-    outside: int
-    """Distinct success positions, rounded to 1 cm, that are not."""
-    robust_size: int
-    """Entries of the set with fitness 2."""
-    robust_found: int
-    """Entries in which a success of fitness 2 was found."""
-    released_found: int | None
-    """Elites of the released code's archive in the set; None for a hand that it lacks."""
-    sentence: str = ""
-    """The result in words."""
-
-
-def coverage(
-    positions: NDArray[np.floating],
-    fitness: NDArray[np.number],
-    reference: ReferenceSet,
-    archive: ReleasedArchive | None = None,
-) -> Coverage:
-    """Compare a run's successes with the reference set of the same object.
-
-    `positions` (n, 3) [m] of the hand, CoM frame, and `fitness` (n,) are in journal order. Without the
-    released code's archive for this scene, its figures are left out.
-    """
-    reached, robust = cells(positions), reference.robust
-    distinct = np.unique(reached, axis=0)
-    found = _common_cells(distinct, reference)
-    robust_found = _common_cells(np.unique(reached[fitness == ROBUST], axis=0), robust)
-    elites = robust_elites = None
-    if archive is not None:
-        shared = np.isin(cell_keys(reached), cell_keys(reference.cells))
-        elites = int(archive.gains(positions, fitness, shared).sum())
-        robust_elites = int(archive.gains(positions, fitness, shared & (fitness == ROBUST)).sum())
-    result = Coverage(
-        coverage=_ratio(found, len(reference)),
-        robust=_ratio(robust_found, len(robust)),
-        released=_ratio(elites, len(reference)),
-        released_robust=_ratio(robust_elites, len(robust)),
-        size=len(reference),
-        found=found,
-        outside=len(distinct) - found,
-        robust_size=len(robust),
-        robust_found=robust_found,
-        released_found=elites,
-    )
-    return msgspec.structs.replace(result, sentence=_sentence(result, reference.object))
-
-
-def _common_cells(positions: NDArray[np.int64], reference: ReferenceSet) -> int:
-    """Count the `positions` (n, 3) that are cells of the set; repeated ones count repeatedly."""
-    return int(np.isin(cell_keys(positions), cell_keys(reference.cells)).sum())
-
-
-def _ratio(found: int | None, size: int) -> float | None:
-    return None if found is None or size == 0 else found / size
-
-
-def _sentence(result: Coverage, name: str) -> str:
-    if result.coverage is None:
-        return f"The reference set of '{name}' is empty, so that there is no coverage of it."
-    words = (
-        f"{result.found} of the {result.size} cells of '{name}' were found ({result.coverage:.2%}), "
-        f"and {counted(result.outside, 'cell that is', 'cells that are')} not in the set."
-    )
-    if result.robust is not None:
-        found = f"{result.robust_found} of the {result.robust_size} that have it in the set"
-        words += f" With fitness 2 were found {found} ({result.robust:.2%})."
-    if result.released is not None:
-        found = f"{result.released_found} of the {result.size}"
-        words += f" The released code counts {found} ({result.released:.2%})."
-    return words

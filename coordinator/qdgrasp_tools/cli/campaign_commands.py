@@ -4,15 +4,10 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
-import msgspec
 import typer
 
-from qdgrasp_coordinator.metrics.reference_coverage import coverage as coverage_of
-from qdgrasp_coordinator.metrics.reference_coverage import is_stand_in, read_reference, released_archive
-from qdgrasp_coordinator.metrics.successes import survival
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
-from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EndedEarly, InputError
@@ -202,30 +197,3 @@ def analyse(
         echo(f"Left out, as others are of the same search: {', '.join(found.repeats)}.")
     mark = f", {found.unfinished} of them unfinished" if found.unfinished else ""
     echo(f"{counted(len(found.runs), 'run')}{mark}. Figures and tables: {found.out}")
-
-
-def coverage(
-    directory: options.RunDir,
-    reference: Annotated[Path, typer.Option(help="The reference set, an npz file.")],
-    object_: Annotated[str, typer.Option("--object", help="The object's name in the set.")],
-    as_json: options.Json = False,
-) -> None:
-    """Say how much of a reference set of graspable positions a run has found.
-
-    Counted are distinct success positions, rounded to 1 cm, that are in the set, over its size.
-
-    Example: qdgrasp coverage runs/demo --reference S_G_panda_2f.npz --object rubiks_cube
-    """
-    folder = RunFolder.open(directory)
-    entries = read_reference(reference, object_)
-    scene = folder.scene()
-    stand_in = is_stand_in(folder.spec.object, entries)
-    successes = folder.successes().rows
-    positions = successes["base_to_object"][:, :3]
-    found = coverage_of(positions, survival(successes), entries, released_archive(scene))
-    if as_json:
-        values = {"object": object_, "stand_in": stand_in}
-        echo(json.dumps(msgspec.to_builtins(found) | values))
-        return
-    stands_in = " The run is on a stand-in for the scan." if stand_in else ""
-    echo(found.sentence + stands_in)

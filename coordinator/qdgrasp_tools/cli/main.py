@@ -9,7 +9,7 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.process import configure_logging
 from qdgrasp_tools.cli.asset_commands import asset_app, object_app
-from qdgrasp_tools.cli.campaign_commands import analyse, campaign, coverage
+from qdgrasp_tools.cli.campaign_commands import analyse, campaign
 from qdgrasp_tools.cli.grasp_commands import evaluate, export, import_
 from qdgrasp_tools.cli.gripper_commands import gripper_app
 from qdgrasp_tools.cli.inspection_commands import digest, info, methods, render, show, verify, view
@@ -38,7 +38,7 @@ PANELS: dict[str, tuple[Callable[..., None] | typer.Typer, ...]] = {
     "Share": (export, import_),
     "Your own hands and objects": (gripper_app, object_app, asset_app),
     "Many machines": (jobs, pause, continue_, drain, cancel, security_app),
-    "Science": (evaluate, rerank, verify, digest, coverage, analyse),
+    "Science": (evaluate, rerank, verify, digest, analyse),
 }
 """The commands, and groups of commands, by the headings of the help."""
 

@@ -11,11 +11,7 @@ from tests.coordinator.scenes import SceneMaker
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.reference_coverage import (
     ReferenceLookup,
-    ReferenceSet,
-    ReleasedArchive,
-    coverage,
-    is_stand_in,
-    read_reference,
+    read_references,
 )
 from qdgrasp_protocol.errors import AssetError, InputError
 
@@ -30,7 +26,7 @@ CM = np.array([[1, 2, 3], [-1, 2, 3]], dtype=np.int16)
 
 def test_a_set_is_read_as_it_was_written(tmp_path: Path) -> None:
     path = written(tmp_path / "set.npz", mug__cm=CM, mug__fitness=np.array([0, 2], np.uint8))
-    mug = read_reference(path, "mug")
+    mug = read_references(path)["mug"]
     assert mug.cells.tolist() == CM.tolist()
     assert mug.robust.cells.tolist() == [[-1, 2, 3]]
     assert (len(mug), len(mug.robust)) == (2, 1)
@@ -56,7 +52,7 @@ def test_what_is_not_an_npz_file_of_plain_arrays_is_refused(tmp_path: Path, cont
     path = tmp_path / "set.npz"
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"is not an npz file of plain arrays"):
-        read_reference(path, "mug")
+        read_references(path)
 
 
 @pytest.mark.parametrize(
@@ -73,15 +69,7 @@ def test_what_is_not_an_npz_file_of_plain_arrays_is_refused(tmp_path: Path, cont
 )
 def test_arrays_of_another_form_are_refused(tmp_path, arrays, reason) -> None:
     with pytest.raises(AssetError, match=reason):
-        read_reference(written(tmp_path / "set.npz", **arrays), "mug")
-
-
-def test_the_scan_and_its_stand_in_compare_and_nothing_else_does() -> None:
-    mug = ReferenceSet("mug", CM.astype(np.int64), np.zeros(2, np.uint8))
-    assert not is_stand_in("ycb_mug", mug)
-    assert is_stand_in("mug", mug)
-    with pytest.raises(InputError, match="this run is on 'ycb_bowl'"):
-        is_stand_in("ycb_bowl", mug)
+        read_references(written(tmp_path / "set.npz", **arrays))
 
 
 @pytest.fixture
@@ -106,6 +94,8 @@ def test_the_published_set_of_a_hand_serves_its_models_and_stand_ins_are_marked(
 ) -> None:
     found = ReferenceLookup().of(on(make_scene(hand), name), name)
     assert (found.size, found.stand_in, found.why) == (2, stand_in, "")
+    other = ReferenceLookup().of(on(make_scene(hand), name), "parts/block.stl")
+    assert (other.size, other.why) == (0, "no S_G of bh280 and block")
 
 
 def test_a_named_file_says_its_hand_by_its_name_and_goes_before_the_published_ones(
@@ -115,38 +105,3 @@ def test_a_named_file_says_its_hand_by_its_name_and_goes_before_the_published_on
     own = written(tmp_path / "S_G_bh280.npz", block__cm=CM[:1], block__fitness=np.zeros(1, np.uint8))
     assert ReferenceLookup([own]).of(scene, "ycb_block").size == 1
     assert ReferenceLookup([own]).of(on(make_scene("jaw"), "ycb_block"), "ycb_block").size == 0
-
-
-SHIFTED = ReleasedArchive(np.full(3, -0.14), 0.291)
-"""29 bins of 10.03 mm; edges at 0.48 and 10.52 mm."""
-
-
-def reference(cells: list[tuple[int, int, int]], fitness: list[int]) -> ReferenceSet:
-    return ReferenceSet("cube", np.array(cells, np.int64).reshape(-1, 3), np.array(fitness, np.uint8))
-
-
-FOUR = reference([(1, 0, 0), (2, 0, 0), (3, 0, 0), (-4, 5, 6)], [0, 1, 2, 2])
-
-
-def at(*centimetres: tuple[float, float, float]) -> np.ndarray:
-    return np.array(centimetres, dtype=np.float32).reshape(-1, 3) / 100
-
-
-def test_the_robust_share_asks_for_fitness_2_on_both_sides() -> None:
-    held_where_only_one_shake_is_known, held, dropped = (2, 0, 0), (3, 0, 0), (-4, 5, 6)
-    found = coverage(at(held_where_only_one_shake_is_known, held, dropped), np.array([2, 2, 1]), FOUR)
-    assert (found.robust_found, found.robust_size, found.robust) == (1, 2, 0.5)
-
-
-def test_an_empty_set_has_no_coverage_and_says_so() -> None:
-    found = coverage(at((1, 0, 0)), np.array([2]), reference([], []), SHIFTED)
-    assert (found.coverage, found.robust, found.released, found.released_robust) == (None,) * 4
-    assert "is empty" in found.sentence
-    assert b'"coverage":null' in msgspec.json.encode(found)
-
-
-def test_the_released_count_takes_two_elites_that_round_to_one_position() -> None:
-    """Its bins are a little wider than 1 cm and not aligned with the rounding."""
-    left, right = (0.8, 0, 0), (1.2, 0, 0)
-    found = coverage(at(left, right), np.zeros(2), FOUR, SHIFTED)
-    assert (found.found, found.released_found) == (1, 2)
