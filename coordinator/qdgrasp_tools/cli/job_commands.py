@@ -227,8 +227,8 @@ def monitor(
 ) -> None:
     """Watch running jobs: how far they are, what they find, who works, and why evaluations fail.
 
-    Nothing is changed or slowed by it; `qdgrasp jobs` prints the state once. On a terminal q leaves, tab or a
-    number takes another job; r, w and e show all runs, workers and events.
+    Nothing is changed or slowed by it; `qdgrasp jobs` prints the state once. A terminal shows the first job
+    that is not over in full, and any other one with --job.
 
     Example: qdgrasp-monitor --connect tcp/head:7447
 
@@ -236,6 +236,8 @@ def monitor(
     """
     if web is not None:
         check_packages("--web", *EXTRAS["monitor"])
+    elif not (console := terminal_console()).is_terminal or console.is_dumb_terminal:
+        raise InputError("The jobs are drawn on a terminal: `qdgrasp jobs` prints them, --web serves a page.")
     configure_logging("monitor", level=logging.INFO if web else logging.ERROR)
     place = JobPlace.of(directory, connect, security)
     endpoint = place.endpoint
@@ -250,7 +252,7 @@ def monitor(
         if web is not None:
             serve_page(bus, feed, web, token or "", stop)
         else:
-            watch_jobs(feed, endpoint, terminal_console(), stop)
+            watch_jobs(feed, endpoint, console, stop)
     raise typer.Exit(stop.exit_code)
 
 

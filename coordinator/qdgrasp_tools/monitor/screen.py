@@ -89,7 +89,7 @@ class Column(NamedTuple):
 
 @dataclass(frozen=True)
 class Listing:
-    """Rows below the title of their list and those of the columns, from row `top` on.
+    """Rows below the title of their list and those of the columns.
 
     A column without a title is left out where all of its texts are empty.
     """
@@ -98,13 +98,11 @@ class Listing:
     columns: Sequence[Column]
     rows: Sequence[Any]
     style: Callable[[Any], str] = lambda _: ""
-    top: int = 0
 
     def __rich_console__(self, _console: Console, options: ConsoleOptions) -> RenderResult:
         room = len(self.rows) if options.height is None else max(0, options.height - self.heads)
-        first = max(0, min(self.top, len(self.rows) - room))
-        shown = self.rows[first : first + room]
-        some = f": {first + 1} to {first + len(shown)} of {len(self.rows)}"
+        shown = self.rows[:room]
+        some = f": 1 to {len(shown)} of {len(self.rows)}"
         if self.title:
             yield rule(self.title + (some if 0 < len(shown) < len(self.rows) else ""))
         texts = {column: [printable(column.value(row)) for row in shown] for column in self.columns}
@@ -144,24 +142,21 @@ def rule(title: str) -> Rule:
     return Rule(Text(title, "bold"), align="left", style="")
 
 
-def job_list(views: Sequence[JobView], chosen: int) -> Listing:
-    """Return the jobs, among them the selected one."""
+def job_list(views: Sequence[JobView]) -> Listing:
+    """Return the jobs."""
     columns = (
-        Column("", lambda one: ">" if one[0] == chosen else "", least=1),
-        Column("", lambda one: str(one[0] + 1) if one[0] < 9 else "", 1),
-        Column("job", lambda one: one[1].job, least=14),
-        Column("state", lambda one: state_text(one[1]), least=9),
-        Column("runs", lambda one: _runs(one[1].figures), 5),
-        Column("evaluations", lambda one: count_text(one[1].figures.evaluations), 4),
-        Column("done", lambda one: percent_text(one[1].figures.done, 1.0)),
-        Column("left", lambda one: time_left(one[1]), 2),
-        Column("eval/s", lambda one: rate_text(one[1].history.latest_rate), 3),
-        Column("cells", lambda one: count_text(one[1].figures.cells), 6),
-        Column("robust", lambda one: count_text(one[1].figures.robust), 7),
-        Column("workers", lambda one: count_text(one[1].figures.workers), 8),
+        Column("job", lambda one: one.job, least=14),
+        Column("state", lambda one: state_text(one), least=9),
+        Column("runs", lambda one: _runs(one.figures), 5),
+        Column("evaluations", lambda one: count_text(one.figures.evaluations), 4),
+        Column("done", lambda one: percent_text(one.figures.done, 1.0)),
+        Column("left", lambda one: time_left(one), 2),
+        Column("eval/s", lambda one: rate_text(one.history.latest_rate), 3),
+        Column("cells", lambda one: count_text(one.figures.cells), 6),
+        Column("robust", lambda one: count_text(one.figures.robust), 7),
+        Column("workers", lambda one: count_text(one.figures.workers), 8),
     )
-    rows, top = list(enumerate(views)), max(0, chosen - 2)
-    return Listing("", columns, rows, lambda one: STYLES.get(one[1].state, ""), top)
+    return Listing("", columns, views, lambda one: STYLES.get(one.state, ""))
 
 
 def state_text(view: JobView) -> str:
@@ -180,7 +175,7 @@ def _runs(figures: JobStatus) -> str:
     return f"{figures.runs_done}{failed}/{figures.runs}"
 
 
-def run_list(view: JobView, top: int = 0) -> Listing:
+def run_list(view: JobView) -> Listing:
     """Return a job's runs: those in progress first, then the latest that ended."""
     columns = (
         Column("run", lambda run: run.run, least=20),
@@ -196,10 +191,10 @@ def run_list(view: JobView, top: int = 0) -> Listing:
     )
     runs = [run for run in view.runs if not run.finished] + [run for run in view.runs[::-1] if run.finished]
     title = f"runs of {view.job}"
-    return Listing(title, columns, runs, lambda run: "bold yellow" if run.trouble else "", top)
+    return Listing(title, columns, runs, lambda run: "bold yellow" if run.trouble else "")
 
 
-def worker_list(view: JobView, top: int = 0) -> Listing:
+def worker_list(view: JobView) -> Listing:
     """Return a job's workers, those that are in trouble first."""
     workers = view.workers
     columns = (
@@ -219,10 +214,10 @@ def worker_list(view: JobView, top: int = 0) -> Listing:
     hosts = counted(len({worker.host for worker in workers}), "host")
     counts = ", ".join(f"{n} {printable(state)}" for state, n in states.most_common())
     title = f"workers: {counts} on {hosts}" if counts else "workers: none has joined"
-    return Listing(title, columns, workers, lambda one: STYLES.get(one.state, ""), top)
+    return Listing(title, columns, workers, lambda one: STYLES.get(one.state, ""))
 
 
-def event_list(view: JobView, top: int = 0) -> Listing:
+def event_list(view: JobView) -> Listing:
     """Return a job's events, the latest first."""
     columns = (
         Column("at", lambda one: clock_text(one.at), least=8),
@@ -230,7 +225,7 @@ def event_list(view: JobView, top: int = 0) -> Listing:
         Column("happened", lambda one: one.words, least=20),
     )
     title = f"events of {view.job}"
-    return Listing(title, columns, view.events[::-1], lambda one: STYLES.get(one.kind, ""), top)
+    return Listing(title, columns, view.events[::-1], lambda one: STYLES.get(one.kind, ""))
 
 
 def job_summary(view: JobView) -> Group:
