@@ -44,7 +44,6 @@ def broad_azimuth(scene: Scene) -> float:
 
 
 ELEVATION = np.radians(26.0)
-OBJECT_AZIMUTH = np.radians(40.0)
 CLAY, STEEL = "#f7e6ca", "#a8b3bf"  # Colours of the object, and of links whose touch makes no success
 FINGER_HUES = (
     "#4477aa", "#ee7733", "#009988", "#cc3311", "#33bbee", "#aa3377", "#c0a020", "#332288", "#6a8f2f",
@@ -76,17 +75,6 @@ class RenderedView:
     shown: Rows
     is_uncut: bool = True
     """True: nothing was left out to show the inside."""
-
-
-def object_picture(scene: Scene, pixels: int) -> bytes:
-    """Render the object alone on a transparent ground, as large as fits.
-
-    Returns a PNG, `pixels` wide and high.
-    """
-    body = scene.object.mesh
-    image = LayeredImage(fit_camera(body.vertices, OBJECT_AZIMUTH, ELEVATION, (pixels, pixels), field=0.0))
-    paint_solid(image, RayMesh(body), rgb(CLAY))
-    return clear_png(image)
 
 
 def hand_picture(scene: Scene, row: Rows, size: tuple[int, int], view: tuple[float, float]) -> bytes:

@@ -25,21 +25,16 @@ from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
 from qdgrasp_tools.monitor.records import BusRecords, JournalId, RecordPage, Records
 from qdgrasp_tools.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
-from qdgrasp_tools.rendering.views import hand_picture, object_picture
+from qdgrasp_tools.rendering.views import hand_picture
 
 WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one's query [s]
 BUSY_SECONDS = 3.0  # After a query without an answer the next one waits so long [s]
 MAX_RUNS = 16  # Runs that are kept, as are the following; the longest unused gives way
 MAX_JOBS = 16  # Jobs whose lists of runs are kept
 MAX_CURVES = 64  # Runs whose curves are kept
-MAX_DIGESTS = 4096  # Runs of which it is kept what scene they have
-MAX_PICTURES = 512  # Pictures that are kept in memory, of some 5 kB
-PICTURE_PIXELS = 96
 MAX_GRASP_PICTURES = 64  # Pictures of grasps of a run that are kept, of some 10 kB
 GRASP_PIXELS = 132, 108  # Width and height of one
 FIRST_VIEW = -121.8, 26.2  # Azimuth and elevation from which the page looks at first [deg]
-SCENE_SECONDS = 300.0  # A run's scene is not asked for again for so long [s]
-LAST_ROW = (1 << 32) - 1  # Behind every row of a journal: what is read from there on is empty
 MAX_SCENES = 2  # Scenes of a run: another journal may have another one
 FRESH_SECONDS = 0.25  # Successes are not read again for so long [s]
 LISTED_SECONDS = 5.0  # Nor are lists of runs or objects, and curves [s]
@@ -214,7 +209,7 @@ def run_caches(
 
 
 class JobCaches:
-    """Caches of runs, of lists of runs and objects, and of pictures of the objects.
+    """Caches of runs, and of lists of runs and objects.
 
     The methods may take a while; any thread may call them. They raise a `QdgraspError` where there is no such
     job, run or grasp, or no answer.
@@ -233,13 +228,6 @@ class JobCaches:
         self._objects = kept(
             MAX_JOBS, records.objects, lambda found: 0 if found.uncounted else LISTED_SECONDS
         )
-        self._scenes = kept(
-            MAX_DIGESTS,
-            lambda job, run: records.page(job, run, LAST_ROW).origin.scene,
-            lambda _: SCENE_SECONDS,
-        )
-        self._pictures: dict[str, bytes] = {}  # by scene
-        self._records = records
 
     def runs(self, job: str) -> bytes:
         """Return the runs of a job, finished ones too: JSON of `RunListings`."""
@@ -258,12 +246,3 @@ class JobCaches:
         names = next((each.names for each in self.objects(job).objects if each.file == file), [])
         runs = [run for run in self._listings(job).get().runs if run.run in names]
         return msgspec.json.encode(RunListings(runs=runs))
-
-    def object_picture(self, job: str, run: str) -> bytes:
-        """Return a small picture of a run's object: PNG with a transparent ground."""
-        digest = self._scenes(job, run).get()
-        if digest not in self._pictures:
-            while len(self._pictures) >= MAX_PICTURES:
-                self._pictures.pop(next(iter(self._pictures)), None)
-            self._pictures[digest] = object_picture(self._records.scene(job, run, digest), PICTURE_PIXELS)
-        return self._pictures[digest]

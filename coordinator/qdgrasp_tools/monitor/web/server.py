@@ -137,9 +137,6 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
     def curve(request: Request) -> bytes:
         return caches.curve(request.path_params["job"], request.path_params["run"])
 
-    def picture(request: Request) -> bytes:
-        return caches.object_picture(request.path_params["job"], request.path_params["run"])
-
     def metrics(_request: Request) -> Response:
         text, kind = exposition(state.views())
         return Response(text, headers={"Content-Type": kind})
@@ -153,7 +150,6 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
         _slow("/api/jobs/{job}/objects", lambda request: _object_page(request, caches, state), limiter),
         _slow("/api/jobs/{job}/objects/runs", object_runs, limiter),
         _slow("/api/jobs/{job}/runs/{run}/curve", curve, limiter),
-        _picture_route("/api/jobs/{job}/runs/{run}/picture", picture),
         Route("/metrics", metrics),
         *_run_routes(caches.run, limiter),
     ]
@@ -284,14 +280,6 @@ SECURITY_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Headers of every answer: nothing is loaded from elsewhere, and no page embeds this one."""
-LOGIN_PAGE = """<!doctype html>
-<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>qdgrasp: token</title><link rel="stylesheet" href="/static/style.css">
-<body class="token-page"><main><h1>qdgrasp</h1><form method="get" action="/">
-<label for="token">Token that was printed with the address</label>
-<input id="token" name="token" type="password" autocomplete="current-password" required autofocus>
-<button>Open</button></form></main></body></html>
-"""
 
 
 @dataclass(frozen=True)
@@ -332,19 +320,16 @@ class Access:
         port = request.headers.get("host", "").rpartition(":")[2]  # one host's ports share its cookies
         cookie = f"{COOKIE}-{port}" if port.isdecimal() else COOKIE
         bearer = request.headers.get("authorization", "").removeprefix("Bearer ")
-        if not self.token or request.url.path == "/static/style.css":
+        if not self.token:
             return None
         if self._is_valid(bearer) or self._is_valid(request.cookies.get(cookie, "")):
             return None
-        is_page = request.url.path == "/"
-        if is_page and self._is_valid(request.query_params.get("token", "")):
+        if request.url.path == "/" and self._is_valid(request.query_params.get("token", "")):
             entered = RedirectResponse("/", 303)
             entered.set_cookie(cookie, self.token, httponly=True, samesite="lax")
             return entered
         headers = {"WWW-Authenticate": "Bearer", "Cache-Control": "no-store"}
-        wants_page = is_page and "text/html" in request.headers.get("accept", "")
-        kind = "text/html" if wants_page else "text/plain"
-        return Response(LOGIN_PAGE if wants_page else "A token is needed.\n", 401, headers, kind)
+        return PlainTextResponse("A token is needed: open the page as /?token=TOKEN.\n", 401, headers)
 
     def _is_valid(self, token: str) -> bool:
         return hmac.compare_digest(token.encode(), self.token.encode())

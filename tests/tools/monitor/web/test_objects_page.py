@@ -23,7 +23,6 @@ from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.spec import ObjectRecord, RunSpec
 from qdgrasp_tools.monitor.web.run_cache import JobCaches
-from qdgrasp_tools.rendering.views import object_picture
 
 Page = Any
 Look = Callable[..., Page]
@@ -52,13 +51,11 @@ def library() -> list[ObjectRun]:
 
 
 class ObjectLibrary(JobCaches):
-    """A library of the job `parts`; counts the pictures that it was asked for."""
+    """A library of the job `parts`."""
 
     def __init__(self) -> None:
         super().__init__(HandMadeRecords(made_scene()))
         self.listings = listed(library(), SKIPPED)
-        self.pictured: set[str] = set()
-        self.png = object_picture(made_scene(), 96)
 
     def objects(self, job: str) -> ObjectListings:
         if job != "parts":
@@ -74,10 +71,6 @@ class ObjectLibrary(JobCaches):
             for name in names
         ]
         return to_json(RunListings(runs=listings))
-
-    def object_picture(self, job: str, run: str) -> bytes:
-        self.pictured.add(run)
-        return self.png
 
 
 @pytest.fixture
@@ -141,7 +134,6 @@ def test_what_the_coordinator_says_stands_at_the_objects(parts, objects) -> None
 
 @pytest.fixture
 def place(parts: FakeFeed, objects: ObjectLibrary) -> Iterator[str]:
-    objects.pictured.clear()
     with serving(parts, library=objects) as address:
         yield f"{address}/#job=parts"
 

@@ -123,11 +123,9 @@ def test_nothing_can_be_written(feed: FakeFeed, method: str) -> None:
         assert (answer.status_code, answer.headers["allow"]) == (405, "GET, HEAD")
 
 
-def test_without_the_token_nothing_is_seen_but_how_the_door_looks(feed: FakeFeed) -> None:
+def test_without_the_token_nothing_is_seen(feed: FakeFeed) -> None:
     outsider = client(feed, LOCKED)
     assert {outsider.get(page).status_code for page in PATHS} == {401}
-    assert outsider.get("/static/style.css").status_code == 200
-    assert outsider.get("/", headers={"accept": "text/html"}).text.count("<input") == 1
 
 
 @pytest.mark.parametrize("wrong", ["", "a", TOKEN[:-1], TOKEN + "x", TOKEN.upper(), "töken"])

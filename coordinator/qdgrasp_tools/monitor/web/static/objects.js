@@ -8,7 +8,6 @@ import { fetchJson, MANY } from "./run_queries.js";
 const SECONDS = 5; // between two queries for the same page
 const PAGE = 50; // objects on a page, as the server divides them
 const PAUSE = 200; // ms after the last letter of a search before it is asked for
-const PICTURED = ["running", "done", "failed"];
 const STATES = ["done", "running", "building", "waiting", "failed", "skipped"];
 
 /** All that is said about an object. */
@@ -16,18 +15,13 @@ function words({ little, warnings }) {
   return [little, ...warnings].filter(Boolean).join("; ");
 }
 
-const PICTURE = {
+const ABOUT = {
   make() {
-    const picture = element("img", { alt: "", loading: "lazy", width: 40, height: 40, decoding: "async" });
-    picture.addEventListener("error", () => setAttribute(picture, "data-missing", true));
-    return element("span", { class: "about" }, picture, element("small", { class: "faint" }), element("small", { class: "note" }));
+    return element("span", { class: "about" }, element("small", { class: "faint" }), element("small", { class: "note" }));
   },
   update(node, row) {
-    const { job, names, state, category, hands, api, file, object } = row;
-    const [picture, about, note] = node.children;
-    const address = names.length && PICTURED.includes(state) ? `${api}/jobs/${encodeURIComponent(job)}/runs/${encodeURIComponent(names[0])}/picture` : null;
-    if (picture.getAttribute("src") !== address) setAttribute(picture, "data-missing", null);
-    setAttribute(picture, "src", address);
+    const { category, hands, file, object } = row;
+    const [about, note] = node.children;
     setText(about, [category, hands.join(", ")].filter(Boolean).join(" · "));
     setText(note, words(row)); // where there is no room for the column of notes
     setAttribute(node.parentElement, "title", file === object ? null : file);
@@ -35,7 +29,7 @@ const PICTURE = {
 };
 
 const COLUMNS = [
-  { name: "object", title: "Object", words: ({ object }) => object, link: ({ job, file }) => Selection.address(job, "", file), more: PICTURE },
+  { name: "object", title: "Object", words: ({ object }) => object, link: ({ job, file }) => Selection.address(job, "", file), more: ABOUT },
   { name: "state", title: "State", words: ({ state }) => state },
   { name: "runs", title: "Runs", number: true, words: ({ runs, runs_done: done }) => (runs ? `${count(done)} of ${count(runs)}` : "–") },
   { name: "evaluations", title: "Evaluations", number: true, words: ({ evaluations }) => count(evaluations) },
@@ -119,7 +113,7 @@ export class ObjectPanel {
     setText(this.find("objects-range"), objects.length ? `${count(first + 1)} to ${count(first + objects.length)} of ${count(found)}` : "none found");
     this.find("objects-before").disabled = first === 0;
     this.find("objects-behind").disabled = first + objects.length >= found;
-    const rows = objects.map((each) => ({ ...each, job, api: this.api }));
+    const rows = objects.map((each) => ({ ...each, job }));
     this.table.show(rows, (row) => `${row.state}${words(row) ? " noted" : ""}${row.file === object ? " chosen" : ""}`);
   }
 }
