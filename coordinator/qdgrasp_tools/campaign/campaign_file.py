@@ -39,11 +39,8 @@ from qdgrasp_protocol.spec import (
 )
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.object_library import (
-    NO_RULES,
-    Library,
     LibraryRules,
     SkippedObject,
-    is_manifest,
     mesh_fault,
     read_library,
 )
@@ -98,7 +95,7 @@ class Campaign:
     stand_ins: tuple[str, ...] = ()
     """Objects whose scans were preferred and not found."""
     skipped: tuple[SkippedObject, ...] | None = None
-    """Objects of libraries that cannot be used and are left out; None: no library was read."""
+    """Objects of a library that cannot be used and are left out; None: no library was read."""
 
     @property
     def evaluations(self) -> int:
@@ -128,56 +125,24 @@ def read_campaign(
     *,
     here: bool = True,
     goals: Mapping[str, float | None] = MappingProxyType({}),
-    rules: LibraryRules = NO_RULES,
-    tell: Tell = ignore_progress,
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
     `here` checks that its grippers and objects are on this machine; `goals` are values of a spec's keys that
-    end runs, in place of the file's defaults, before which `ADAPTIVE_BUDGET` holds if grasps are among them;
-    `rules` are for the libraries that it names as objects. `tell` is called before each mesh is checked.
+    end runs, in place of the file's defaults, before which `ADAPTIVE_BUDGET` holds if grasps are among them.
     Raises InputError if the file is missing, is not TOML, or asks for a run that is not possible; the run is
     named.
     """
     source = read_run_spec(path, LARGEST_CAMPAIGN)
     _check_tables(source, str(path))
     source["defaults"] = _with_goals(source.get("defaults", {}), goals)
-    source, skipped = _with_libraries(source, rules, tell) if here else (source, None)
-    return replace(make_campaign(source, str(path), here=here), skipped=skipped)
+    return make_campaign(source, str(path), here=here)
 
 
 def _with_goals(defaults: Mapping[str, Any], goals: Mapping[str, Any]) -> dict[str, Any]:
     """Return a campaign's defaults with other goals, as far as these have a value."""
     asked = {key: value for key, value in goals.items() if value is not None}
     return {**(ADAPTIVE_BUDGET if "grasps" in asked else {}), **defaults, **asked}
-
-
-def _with_libraries(
-    source: dict[str, Any], rules: LibraryRules, tell: Tell
-) -> tuple[dict[str, Any], tuple[SkippedObject, ...] | None]:
-    """Return a campaign's file with the objects of its libraries, and those left out."""
-    libraries: dict[str, Library] = {}
-
-    def objects(value: Any) -> Any:
-        found = []
-        for name in value if isinstance(value, list) else [value]:
-            if not (isinstance(name, str) and is_manifest(named_path(name))):
-                found.append(name)
-                continue
-            library = libraries.get(name) or read_library(named_path(name), rules, tell)
-            libraries[name] = library
-            found += library.objects
-        return found if isinstance(value, list) or libraries else value
-
-    def table(values: dict[str, Any]) -> dict[str, Any]:
-        return values | {"object": objects(values["object"])} if "object" in values else values
-
-    changed = {"defaults": table(source["defaults"]), "cross": [table(cross) for cross in source["cross"]]}
-    if not libraries:
-        return source, None
-    known = {name: values for library in libraries.values() for name, values in library.objects.items()}
-    skipped = tuple(each for library in libraries.values() for each in library.skipped)
-    return source | changed | {"objects": known | source.get("objects", {})}, skipped
 
 
 def is_campaign(path: Path) -> bool:
@@ -335,9 +300,9 @@ def campaign_of_meshes(
 ) -> Campaign:
     """Make the campaign of all objects of a library: a manifest, or a folder of meshes.
 
-    `tell` is that of `read_campaign`.
-    `values` are values or lists of keys of a spec, crossed as in a campaign's file; None: not given. Raises
-    InputError as `read_library`, or for a run that is not possible.
+    `values` are values or lists of keys of a spec, crossed as in a campaign's file; None: not given. `tell`
+    is called before each mesh is checked. Raises InputError as `read_library`, or for a run that is not
+    possible.
     """
     library = read_library(where, rules, tell)
     cross = {key: value for key, value in values.items() if value is not None and key not in STOP_KEYS}

@@ -46,9 +46,6 @@ class LibraryRules(Struct, frozen=True, kw_only=True):
     """True: what cannot be used is left out; False: nothing is begun."""
 
 
-NO_RULES = LibraryRules()
-
-
 class SkippedObject(Struct, frozen=True):
     """An object that is left out of a campaign."""
 

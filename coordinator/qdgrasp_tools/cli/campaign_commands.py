@@ -113,12 +113,8 @@ def campaign(
                 "No campaign is named: give its file or its folder, or a folder of meshes with --objects."
             )
         else:
-            asked = read_campaign(
-                open_campaign(what).path / CAMPAIGN if what.is_dir() else what,
-                goals=goals,
-                rules=LibraryRules(skip_unusable=skip_unusable),
-                tell=tell,
-            )
+            file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
+            asked = read_campaign(file, goals=goals)
     if list_runs:
         for name, spec in asked.runs.items():
             echo(f"{name}  {spec.evaluations}")

@@ -8,7 +8,6 @@ from typing import Any
 
 import pyarrow as pa
 import pytest
-import tomli_w
 import trimesh
 from pyarrow import parquet
 from typer.testing import CliRunner
@@ -95,16 +94,6 @@ def test_runs_are_called_after_the_ids_and_the_campaigns_file_asks_for_the_same(
     file = tmp_path / "campaign.toml"
     file.write_text(asked.toml)
     assert read_campaign(file).runs == asked.runs
-
-
-def test_a_campaigns_file_names_a_manifest_as_an_object(library, tmp_path):
-    manifest, file = write_manifest(library / "objects.csv"), tmp_path / "campaign.toml"
-    cross = {"gripper": ["panda", "allegro"], "object": [str(manifest), "mug"], "evaluations": 50}
-    file.write_text(tomli_w.dumps({"cross": [cross]}))
-    runs = read_campaign(file).runs
-    assert len(runs) == 6
-    alone = campaign_of_meshes(manifest, LibraryRules(), VALUES | {"protocol": "paper"}).runs
-    assert all(runs[name] == spec for name, spec in alone.items())
 
 
 BAD_ROWS = [
