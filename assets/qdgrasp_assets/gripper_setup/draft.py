@@ -50,12 +50,8 @@ class DraftOverrides:
     base_link: str | None = None
     base_reason: str = AS_TOLD
     approach_axis: Vector | None = None
-    palm_offset: float | None = None
-    standoff: tuple[float, float] | None = None
-    finger_links: tuple[str, ...] | None = None
     opened: Mapping[str, float] = field(default_factory=dict)
     closed: Mapping[str, float] = field(default_factory=dict)
-    free: tuple[str, ...] | None = None
     finger_roots: tuple[str, ...] = ()
     """The links that begin fingers; empty: guessed."""
     not_closing: tuple[str, ...] = ()
@@ -88,7 +84,7 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         raise UnknownName("link", base, robot.links)
     body = read_hand_model(robot, base)
     closing = draft_closing(body, overrides)
-    if not closing.fingers and not overrides.finger_links:
+    if not closing.fingers:
         limbs = [joint.child for joint in body.robot.joints if joint.moves]
         why = f"its moving links ({', '.join(limbs)}) have no <collision>"
         raise AssetError(
@@ -97,23 +93,16 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
             "links collision shapes (--repair takes the visual ones)."
         )
     axis, axis_reason = draft_axis(closing, overrides)
-    offset, offset_reason = overrides.palm_offset, AS_TOLD
-    if offset is None:
-        palm, is_met = closing_motion.palm_surface(body, axis)
-        end = "the approach axis passes the palm by: the end of"
-        offset_reason = f"{'where the approach axis leaves' if is_met else end} the palm's shapes"
-        offset = round(palm, 4)
-    standoff, standoff_reason = overrides.standoff, AS_TOLD
-    if standoff is None:
-        far = max(closing_motion.finger_reach(closing, axis) - offset, 0.0) if closing.fingers else 0.05
-        standoff = (0.0, round(far, 4))
-        standoff_reason = "from the palm to where the fingers reach while they close"
-    links, links_reason = overrides.finger_links, AS_TOLD
-    if links is None:
-        links = tuple(link for finger in closing.fingers for link in finger.links)
-        links_reason = f"what moves and has a shape: {counted(len(closing.fingers), 'finger')}"
-        links_reason += ", with what is fixed opposite" if fixed_limbs(body) else ""
-    free, free_reason = _free(closing, axis, overrides)
+    palm, is_met = closing_motion.palm_surface(body, axis)
+    palm_end = (
+        "where the approach axis leaves" if is_met else "the approach axis passes the palm by: the end of"
+    )
+    offset = round(palm, 4)
+    far = max(closing_motion.finger_reach(closing, axis) - offset, 0.0)
+    links_reason = f"what moves and has a shape: {counted(len(closing.fingers), 'finger')}"
+    links_reason += ", with what is fixed opposite" if fixed_limbs(body) else ""
+    ranges = {name: body.range(name) for name in closing.spreads(axis)}
+    free = {name: FreeJointTable(low=low, high=high) for name, (low, high) in ranges.items()}
     jaw, jaw_reason = _jaw(closing, axis)
     synergies, synergies_reason = pinches(closing)
     joints = {name: _joint(closing, name, set(free)) for name in body.moving}
@@ -123,8 +112,8 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         base_link=base,
         approach_axis=vector(axis.round(6) + 0.0),
         palm_offset=offset,
-        standoff=standoff,
-        finger_links=links,
+        standoff=(0.0, round(far, 4)),
+        finger_links=tuple(link for finger in closing.fingers for link in finger.links),
         joints={name: table for name, (table, _) in joints.items()},
         synergies=tuple(Synergy(name=name, joints=group) for name, group in synergies.items()),
         free_joints=free,
@@ -138,14 +127,14 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         "licence": f"of the hand's files; it goes into every export{licence_advice}",
         "base_link": base_reason,
         "approach_axis": axis_reason,
-        "palm_offset": offset_reason,
-        "standoff": standoff_reason,
+        "palm_offset": f"{palm_end} the palm's shapes",
+        "standoff": "from the palm to where the fingers reach while they close",
         "finger_links": links_reason,
         "ratings_source": RATINGS_REASON,
         "disabled_collisions": "pairs of links that overlap when the hand is open, or wherever it is",
         "jaw": jaw_reason,
         "synergies": synergies_reason,
-        "free_joints": free_reason,
+        "free_joints": "joints that turn fingers about the approach axis: their place is a gene",
         **{f"joints.{name}": reason for name, (_, reason) in joints.items()},
     }
     told = frozenset(("approach_axis",) if overrides.approach_axis else ())
@@ -157,10 +146,7 @@ def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
     for link in overrides.finger_roots:
         if link not in beyond:
             raise UnknownName("link beyond the base link", link, beyond)
-    for link in overrides.finger_links or ():
-        if link not in body.robot.links:
-            raise UnknownName("link", link, body.robot.links)
-    for name in (*overrides.opened, *overrides.closed, *(overrides.free or ()), *overrides.not_closing):
+    for name in (*overrides.opened, *overrides.closed, *overrides.not_closing):
         if name not in body.moving:
             raise UnknownName("moving joint", name, body.moving)
     for label, positions in (("open", overrides.opened), ("closed", overrides.closed)):
@@ -219,16 +205,6 @@ def draft_axis(closing: ClosingMotion, overrides: DraftOverrides) -> tuple[Float
             "around the middle of its palm: say it with --approach-axis, such as 0 0 1."
         )
     return closing_motion.snap_to_axis(way), reason
-
-
-def _free(
-    closing: ClosingMotion, axis: Floats, overrides: DraftOverrides
-) -> tuple[dict[str, FreeJointTable], str]:
-    names = closing.spreads(axis) if overrides.free is None else overrides.free
-    ranges = {name: closing.body.range(name) for name in names}
-    reason = "joints that turn fingers about the approach axis: their place is a gene"
-    tables = {name: FreeJointTable(low=low, high=high) for name, (low, high) in ranges.items()}
-    return tables, AS_TOLD if overrides.free else reason
 
 
 def _jaw(closing: ClosingMotion, axis: Floats) -> tuple[Jaw | None, str]:

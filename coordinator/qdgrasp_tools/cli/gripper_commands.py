@@ -28,11 +28,6 @@ from qdgrasp_tools.cli import asset_commands, options
 Vector3 = tuple[float, float, float]
 
 
-def parse_names(text: str) -> tuple[str, ...]:
-    """Parse names between commas."""
-    return tuple(word.strip() for word in text.split(",") if word.strip())
-
-
 def parse_positions(field: str, texts: Iterable[str]) -> dict[str, float]:
     """Parse joint positions, `NAME=VALUE` between commas; raises ImpossibleValue for other text."""
     found = {}
@@ -68,16 +63,6 @@ def new(
     approach_axis: Annotated[
         Vector3 | None, typer.Option(metavar="X Y Z", help="From the palm to the object, base link's frame.")
     ] = None,
-    palm_offset: Annotated[
-        float | None, typer.Option(min=0, help="From the base link to the palm along that axis [m].")
-    ] = None,
-    standoff: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="LEAST MOST", help="From the palm to the surface point [m]."),
-    ] = None,
-    fingers: Annotated[
-        str | None, typer.Option(metavar="LINK,...", help="The links whose touch makes a success.")
-    ] = None,
     opened: Annotated[
         list[str] | None, typer.Option("--open", metavar="JOINT=POSITION,...", help="Where joints are open.")
     ] = None,
@@ -92,9 +77,6 @@ def new(
     not_closing: Annotated[
         list[str] | None,
         typer.Option("--not-closing", metavar="JOINT", help="A joint that does not close; may be repeated."),
-    ] = None,
-    free: Annotated[
-        str | None, typer.Option(metavar="JOINT,...", help="Joints whose place is a gene; '' for none.")
     ] = None,
     licence: Annotated[str | None, typer.Option(help="Licence of the hand's files.")] = None,
     repair: Annotated[
@@ -115,12 +97,8 @@ def new(
         licence=licence,
         base_link=base_link,
         approach_axis=approach_axis,
-        palm_offset=palm_offset,
-        standoff=standoff,
-        finger_links=None if fingers is None else parse_names(fingers),
         opened=parse_positions("open", opened or ()),
         closed=parse_positions("closed", closed or ()),
-        free=None if free is None else parse_names(free),
         finger_roots=tuple(finger or ()),
         not_closing=tuple(not_closing or ()),
     )

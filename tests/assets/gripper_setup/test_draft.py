@@ -76,22 +76,18 @@ def test_a_follower_goes_where_its_leader_takes_it_and_is_driven(jaw_urdf, edit)
 
 
 def test_what_is_told_is_not_guessed(jaw_urdf):
-    found = guessed(
-        jaw_urdf, licence="CC0", approach_axis=(0.0, 1.0, 0.0), palm_offset=0.01, standoff=(0.0, 0.02),
-        finger_links=("left",), closed={"slide": -0.03}, free=(),
-    )  # fmt: skip
+    found = guessed(jaw_urdf, licence="CC0", approach_axis=(0.0, 1.0, 0.0), closed={"slide": -0.03})
     file = found.file
-    assert (file.licence, file.approach_axis, file.palm_offset) == ("CC0", (0.0, 1.0, 0.0), 0.01)
-    assert (file.standoff, file.finger_links, file.joints["slide"].closed) == ((0.0, 0.02), ("left",), -0.03)
-    assert file.joints["other"].closed == -0.03
-    assert found.reasons["palm_offset"] == "as told"
+    assert (file.licence, file.approach_axis) == ("CC0", (0.0, 1.0, 0.0))
+    assert file.joints["slide"].closed == file.joints["other"].closed == -0.03
+    assert found.reasons["approach_axis"] == "as told"
 
 
 @pytest.mark.parametrize(
     ("told", "error", "sentence"),
     [
         ({"base_link": "plam"}, UnknownName, "Unknown link 'plam'. Did you mean 'palm'"),
-        ({"finger_links": ("lef",)}, UnknownName, "Unknown link 'lef'. Did you mean 'left'"),
+        ({"finger_roots": ("lef",)}, UnknownName, "Unknown link beyond the base link 'lef'. Did you mean"),
         ({"closed": {"slid": 0.0}}, UnknownName, "Unknown moving joint 'slid'. Did you mean 'slide'"),
         ({"closed": {"slide": 1.0}}, ImpossibleValue, "closed slide must be within the limits -0.04 to 0 of"),
         ({"opened": {"slide": -3.0}}, ImpossibleValue, "open slide must be within the limits -0.04 to 0 of"),

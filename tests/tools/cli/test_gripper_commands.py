@@ -41,13 +41,11 @@ def test_new_writes_a_file_that_check_finds_good(gripper):
 def test_flags_are_taken_before_guesses(gripper):
     done = gripper(
         "new", "jaw.urdf", "-o", "own.toml", "--base-link", "palm", "--approach-axis", "0", "0", "1",
-        "--palm-offset", "0.03",
-        "--standoff", "0", "0.05", "--fingers", "left,right", "--open", "slide=-0.01", "--closed",
-        "slide=-0.035", "--free", "",
+        "--finger", "left", "--finger", "right", "--open", "slide=-0.01", "--closed", "slide=-0.035",
     )  # fmt: skip
     assert done.exit_code == 0
     file = read_gripper_file(Path("own.toml"))
-    assert (file.palm_offset, file.standoff, file.finger_links) == (0.03, (0.0, 0.05), ("left", "right"))
+    assert file.finger_links == ("left", "right")
     assert (file.joints["slide"].open, file.joints["other"].closed) == (-0.01, -0.035)
 
 
@@ -110,8 +108,8 @@ def test_a_hand_of_a_mujoco_file_becomes_a_urdf_beside_its_file(gripper, tmp_pat
 
 
 def test_what_is_found_bad_is_not_written_and_its_repaired_copy_goes(gripper, bare):
-    done = gripper("new", "jaw.urdf", "--standoff", "0.05", "0.01", "--repair")
+    done = gripper("new", "jaw.urdf", "--open", "slide=-0.02", "--closed", "slide=-0.02", "--repair")
     assert isinstance(done.exception, AssetError)
-    assert "WRONG            standoff must be [least, greatest]" in done.stdout
+    assert "WRONG            no joint closes" in done.stdout
     assert str(done.exception) == "The gripper 'jaw.toml' was not written: correct the fault that is listed."
     assert [path.name for path in Path().iterdir()] == ["jaw.urdf"]
