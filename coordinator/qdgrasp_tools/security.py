@@ -1,8 +1,7 @@
 """Certificates of roles, and their access lists (docs/security.md).
 
-The table of traffic says which role gives and takes which kind of message. A zenoh configuration for each
-role follows from it, with the access list and size limits of routers: for `zenohd`, `qdgrasp-router` and
-zenoh's own tools.
+The table of traffic says which role gives and takes which kind of message. The configuration of routers, for
+`zenohd` and `qdgrasp-router`, follows from it, with access list and size limits.
 """
 
 import ipaddress
@@ -167,25 +166,18 @@ ROUTER_TEMPLATE = """\
 A router of qdgrasp: `zenohd -c router.json5` or `qdgrasp-router --security DIR` reads it.
 Written by `qdgrasp security init`: mutual TLS, and whatever is not allowed here is denied.
 """
-CLIENT_TEMPLATE = """\
-A session with the rights of the {role}, for zenoh's own tools: `z_sub -c {role}.json5 -k KEY`.
-Written by `qdgrasp security init`; the commands of qdgrasp need only `--security DIR`.
-"""
 
 
-def role_configuration(credentials: Credentials, host: str) -> str:
-    """Return the configuration file of a role; clients reach the router at `host`."""
-    if credentials.role is Role.ROUTER:
-        here = Endpoint.parse(f"tls/{LISTEN_EVERYWHERE}:{PORT}")
-        chosen = session_settings("router", listen=[here], credentials=credentials)
-        return session.to_json5(chosen | access_list(), ROUTER_TEMPLATE)
-    there = Endpoint.parse(f"tls/{f'[{host}]' if ':' in host else host}:{PORT}")
-    chosen = session_settings("client", connect=[there], credentials=credentials, seconds=10.0)
-    return session.to_json5(chosen, CLIENT_TEMPLATE.format(role=credentials.role))
+def router_configuration(credentials: Credentials) -> str:
+    """Return the configuration file of a router."""
+    here = Endpoint.parse(f"tls/{LISTEN_EVERYWHERE}:{PORT}")
+    chosen = session_settings("router", listen=[here], credentials=credentials)
+    return session.to_json5(chosen | access_list(), ROUTER_TEMPLATE)
 
 
 Key = ec.EllipticCurvePrivateKey
 AUTHORITY = "qdgrasp authority"
+HOST = re.compile(r"[A-Za-z0-9][A-Za-z0-9.-]*")
 CLOCK_SKEW = timedelta(hours=1)  # Certificates begin so long ago, for clocks that are slow
 
 
@@ -298,14 +290,13 @@ def _alternative(host: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
-        return x509.DNSName(host)
+        if HOST.fullmatch(host):
+            return x509.DNSName(host)
+        raise ImpossibleValue("--host", host, "a host's name or address, without a port") from None
 
 
 PRIVATE_FILE, PRIVATE_FOLDER = 0o600, 0o700
 AUTHORITY_DAYS = 3650  # Longer than the certificates that it issues
-HOST = re.compile(
-    r"(?=.{1,253}$)[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?(\.[A-Za-z0-9]([A-Za-z0-9-]*[A-Za-z0-9])?)*"
-)
 
 
 class SecurityFolder:
@@ -318,11 +309,9 @@ class SecurityFolder:
     def create(cls, path: Path, *, hosts: Sequence[str], days: int) -> "SecurityFolder":
         """Create an authority and a certificate for each role, all files or none.
 
-        The first of `hosts`, by which routers are reached, stands in clients' configurations. Certificates
-        are good for `days`. Raises `OutputError` or `DiskFull` where something is at `path` already, or it
-        cannot be written.
+        Routers are reached by `hosts`; certificates are good for `days`. Raises `ImpossibleValue` for what is
+        no host, `OutputError` or `DiskFull` where something is at `path` already, or it cannot be written.
         """
-        check_hosts(hosts)
         out = OutFolder(path, f"name another path, or add to it with `qdgrasp security add {path} ROLE NAME`")
         out.check()
         root = create_authority(max(days, AUTHORITY_DAYS))
@@ -351,7 +340,6 @@ class SecurityFolder:
         Raises `SecurityError` where no authority is here that lasts as long, `OutputError` or `DiskFull`
         where such a folder is there already, or cannot be written.
         """
-        check_hosts(hosts)
         if not NAME.fullmatch(name):
             raise ImpossibleValue("the name", name, "1 to 64 of the characters a-z, 0-9, '_' and '-'")
         root, place = self.authority, self.path / name
@@ -382,24 +370,13 @@ def _issue(
     days: int,
     holder: str = "",
 ) -> None:
-    """Write certificate, key and configuration of a role into a folder that `files` will name."""
+    """Write certificate and key of a role, and the configuration of a router, into a folder."""
     names = hosts if files.role is Role.ROUTER else ()
     identity = issue_certificate(root, files.role.common_name, days, hosts=names, holder=holder)
     write_private_file(made / files.certificate.name, identity.certificate_pem)
     write_private_file(made / files.key.name, identity.key_pem)
-    write_private_file(made / files.configuration.name, role_configuration(files, hosts[0]).encode())
-
-
-def check_hosts(hosts: Sequence[str]) -> None:
-    """Check that there is a host and that each is a name or an address; else ImpossibleValue."""
-    if not hosts:
-        raise ImpossibleValue("--host", "", "at least one name or address")
-    for host in hosts:
-        try:
-            ipaddress.ip_address(host)
-        except ValueError:
-            if not HOST.fullmatch(host):
-                raise ImpossibleValue("--host", host, "a host's name or address, without a port") from None
+    if files.role is Role.ROUTER:
+        write_private_file(made / files.configuration.name, router_configuration(files).encode())
 
 
 def write_private_file(path: Path, content: bytes) -> None:

@@ -171,7 +171,7 @@ class Credentials:
 
     @property
     def configuration(self) -> Path:
-        """A zenoh configuration of the role; the router's holds the access list."""
+        """The zenoh configuration of a router, with the access list."""
         return self.folder / f"{self.role}.json5"
 
     def check(self) -> None:

@@ -66,7 +66,7 @@ def test_nothing_is_overwritten(made: SecurityFolder) -> None:
 
 def test_a_folder_for_one_node_holds_what_it_needs_and_nothing_else(made: SecurityFolder) -> None:
     place = made.add(Role.WORKER, "lab-7", hosts=HOSTS, days=1)
-    assert {path.name for path in place.iterdir()} == {"ca.pem", "worker.pem", "worker.key", "worker.json5"}
+    assert {path.name for path in place.iterdir()} == {"ca.pem", "worker.pem", "worker.key"}
     assert certificate(place / "worker.pem").subject.rfc4514_string() == "OU=lab-7,CN=qdgrasp-worker"
     Credentials(place, Role.WORKER).check()
 
