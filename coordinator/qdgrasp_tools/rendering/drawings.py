@@ -1,7 +1,6 @@
 """Draws PNG files of hands, objects and meshes from two sides; axes and bars of views."""
 
 from collections.abc import Sequence
-from functools import cache
 from itertools import cycle
 from pathlib import Path
 from typing import BinaryIO
@@ -10,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -42,19 +40,11 @@ from qdgrasp_tools.rendering.views import (
 INK = "#22262b"
 AXIS_COLOURS = {"x": "#cc3311", "y": "#2e8b57", "z": "#2a73b9"}
 FRAME_LENGTH = 0.04  # Length of the axes of a frame [m]
-MISSING_LETTER = "\u25a1"  # Stands for a letter that the font lacks
 
 
 def figure_text(words: str) -> str:
-    """Replace letters that the font of figures lacks by boxes, and escape dollars."""
-    letters = (letter if letter in "\n" or _has_letter(letter) else MISSING_LETTER for letter in words)
-    return "".join(letters).replace("$", r"\$")
-
-
-@cache
-def _has_letter(letter: str) -> bool:
-    files = {findfont(FontProperties(weight=weight)) for weight in ("normal", "bold")}
-    return all(get_font(file).get_char_index(ord(letter)) for file in files)
+    """Escape dollars, which begin mathematics in figures."""
+    return words.replace("$", r"\$")
 
 
 FAINT = "#69717a"

@@ -121,8 +121,8 @@ def test_an_object_is_drawn_with_its_parts_in_colours(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_any_name_is_drawn_and_nothing_is_complained_of(tmp_path: Path) -> None:
-    name = "\u5341 $5$ $\\frac$ \U0001f600 a\tb"
+def test_a_name_with_dollars_is_no_mathematics(tmp_path: Path) -> None:
+    name = "$5$ $\\frac$"
     draw_object(replace(stand_in("mug"), name=name), tmp_path / "mug.png")
     assert share_drawn(halves(tmp_path / "mug.png")[0]) > 0.05
 
