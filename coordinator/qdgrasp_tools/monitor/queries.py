@@ -39,7 +39,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.campaign_file import read_campaign
 from qdgrasp_tools.campaign.object_library import read_skip_report
 from qdgrasp_tools.campaign.summaries import list_objects
-from qdgrasp_tools.report.row_report import RowContextCache
+from qdgrasp_tools.report.row_report import row_context
 
 COUNTING_SECONDS = 1.0  # seconds for which rows are counted for one answer; it gives what is counted then
 LISTED_SECONDS = 3.0  # seconds for which a list of objects is given again
@@ -210,7 +210,6 @@ class QueryServer(ExitStack):
         self._keys = Keys(job)
         self._path = path
         self._index = RunIndex(path)
-        self._contexts = RowContextCache()
         self._bundle = lru_cache(SCENES_KEPT)(self._read)  # the bytes of a scene by its digest
 
     def __enter__(self) -> Self:
@@ -246,7 +245,7 @@ class QueryServer(ExitStack):
             raise Refused(f"this recorder has no run '{run[:64]}'")
         try:
             with Journal.open(path) as journal:
-                context = self._contexts.get(RunFolder(path), journal)
+                context = row_context(RunFolder(path), journal)
                 page, upto = success_page(journal, _number(query, "from"), context)
                 return messages.encode(page_to_message(page, upto, journal, run))
         except InputError as error:

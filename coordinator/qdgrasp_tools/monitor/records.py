@@ -23,7 +23,7 @@ from qdgrasp_protocol.errors import FolderError, UnknownName
 from qdgrasp_protocol.keys import NAME, Keys
 from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.text import printable
-from qdgrasp_tools.report.row_report import RowContextCache
+from qdgrasp_tools.report.row_report import row_context
 
 
 class JournalId(NamedTuple):
@@ -168,7 +168,6 @@ class FolderRecords:
 
     def __init__(self, index: FolderIndex) -> None:
         self._index = index
-        self._contexts = RowContextCache()
 
     def scene(self, job: str, run: str, digest: str) -> Scene:
         """Unpack the bundle in the run's folder."""
@@ -179,7 +178,7 @@ class FolderRecords:
         folder = self._index.run(job, run)
         with folder.journal() as journal:
             origin = JournalId(journal.scene, journal.created if journal.count else 0.0)
-            context = self._contexts.get(folder, journal)
+            context = row_context(folder, journal)
             return RecordPage(origin, *success_pages.success_page(journal, first, context), journal.count)
 
 

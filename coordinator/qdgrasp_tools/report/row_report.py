@@ -4,6 +4,7 @@ The context says which synergy a genome chose and how many trials a success has.
 """
 
 from collections.abc import Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -24,27 +25,20 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import CONTACT_VALUES, Outcome
 
 MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
-ContextKey = tuple[Path, float, str]
-"""Folder of a run; of its journal: time of creation, and scene."""
 
 
-class RowContextCache:
-    """Contexts of the rows of journals, a few hundred at most; any thread may ask."""
+@lru_cache(MOST_CONTEXTS)
+def _context(path: Path, _created: float, _scene: str) -> RowContext:
+    return RowContext(TrialPlan.of(RunFolder(path).spec), genome_reader(RunFolder(path)))
 
-    def __init__(self) -> None:
-        self._known: dict[ContextKey, RowContext] = {}
 
-    def get(self, folder: RunFolder, journal: Journal) -> RowContext:
-        """Return that of a run's journal; FolderError if its scene cannot be read."""
-        name = (folder.path, journal.created, journal.scene)
-        if name in self._known:
-            return self._known[name]
-        if len(self._known) >= MOST_CONTEXTS:
-            self._known.clear()
-        made = RowContext(TrialPlan.of(folder.spec), genome_reader(folder))
-        if folder.has_bundle():
-            self._known[name] = made
-        return made
+def row_context(folder: RunFolder, journal: Journal) -> RowContext:
+    """Return the context of a journal's rows; FolderError if its scene cannot be read.
+
+    Once the scene is there it is kept for this journal, by its time of creation and scene.
+    """
+    made = _context if folder.has_bundle() else _context.__wrapped__
+    return made(folder.path, journal.created, journal.scene)
 
 
 POSE_FRAME = "object's centre-of-mass frame"

@@ -14,7 +14,7 @@ from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
 from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_tools.report.row_report import NoSuchRow, RowContextCache, report_table, row_report
+from qdgrasp_tools.report.row_report import NoSuchRow, report_table, row_context, row_report
 
 PRIORS = {"me_scs": "spherical", "contact_rand": "contact"}
 
@@ -37,7 +37,7 @@ def run_of_synergies(path: Path, method: str = "me_scs", seed: int = 1) -> tuple
 def labels(folder: RunFolder) -> list[int]:
     with folder.journal() as journal:
         rows = np.concatenate(list(journal.blocks()))
-        return RowContextCache().get(folder, journal).genomes.labels(rows["genome"]).tolist()
+        return row_context(folder, journal).genomes.labels(rows["genome"]).tolist()
 
 
 def test_a_run_names_synergies_as_its_prior_does(tmp_path: Path) -> None:
@@ -50,7 +50,7 @@ def test_before_the_scene_is_there_no_synergy_is_named(tmp_path: Path) -> None:
     folder, rows = run_of_synergies(tmp_path / "mug")
     (folder.path / "scene.bundle").unlink()
     with folder.journal() as journal:
-        found = RowContextCache().get(folder, journal).genomes.labels(rows["genome"])
+        found = row_context(folder, journal).genomes.labels(rows["genome"])
     assert set(found.tolist()) == {-1}
 
 
