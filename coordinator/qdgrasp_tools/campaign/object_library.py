@@ -19,7 +19,6 @@ from qdgrasp_assets.object_model import MeshCheck, check_mesh
 from qdgrasp_coordinator.storage.tables import csv_text, read_csv
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes, check_packages
-from qdgrasp_protocol.keys import job_name
 from qdgrasp_protocol.spec import ObjectRecord, run_spec
 
 MANIFEST_FORMATS = (".csv", ".parquet")
@@ -99,11 +98,6 @@ class LibraryRow(Struct, frozen=True, kw_only=True):
     fault: str = ""
     """Reason why the row itself cannot be used."""
 
-    @property
-    def run_part(self) -> str:
-        """Its part in the names of runs."""
-        return job_name(f"a-{self.about.id if self.about and self.about.id else self.file.stem}")
-
 
 def is_manifest(path: Path) -> bool:
     """Return whether a path is a manifest's."""
@@ -174,15 +168,13 @@ def _mass(row: LibraryRow, rules: LibraryRules, checked: MeshCheck) -> float | N
 
 
 def _repeats(rows: Sequence[LibraryRow]) -> dict[str, str]:
-    """Find rows whose file, or whose runs' names, are those of an earlier row without a fault."""
-    files, parts, faults = dict[Path, str](), dict[str, str](), dict[str, str]()
+    """Find rows whose file is that of an earlier row without a fault."""
+    files, faults = dict[Path, str](), dict[str, str]()
     for row in rows:
         if row.fault:
             continue
         if (other := files.setdefault(row.file, row.name)) != row.name:
             faults[row.name] = f"its file is that of '{other}' too; name each file once"
-        elif (other := parts.setdefault(row.run_part, row.name)) != row.name:
-            faults[row.name] = f"its runs would be called as those of '{other}'; rename one of the two"
     return faults
 
 

@@ -149,15 +149,14 @@ def test_a_manifest_that_is_none_is_one_sentence(library, name, content, error, 
 
 
 def test_two_rows_of_one_file_or_one_name_are_refused(library):
-    again = [
-        *ROWS,
-        {"file": "b/part.stl", "id": "c", "mass": 1},
-        {"file": "c.stl", "id": "b part", "mass": 1},
-    ]
-    with pytest.raises(UnusableMeshes) as refused:
-        read_library(write_manifest(library / "objects.csv", again), LibraryRules())
-    assert "its file is that of 'b/part' too" in str(refused.value)
-    assert "would be called as those of 'b/part'" in str(refused.value)
+    same_file, same_name = library / "file.csv", library / "name.csv"
+    write_manifest(same_file, [*ROWS, {"file": "b/part.stl", "id": "c", "mass": 1}])
+    with pytest.raises(UnusableMeshes, match="its file is that of 'b/part' too"):
+        read_library(same_file, LibraryRules())
+    shutil.copy(library / "b" / "part.stl", library / "c.stl")
+    write_manifest(same_name, [*ROWS, {"file": "c.stl", "id": "b part", "mass": 1}])
+    with pytest.raises(InputError, match="run 'panda-b-part-portfolio-s0-physical' twice"):
+        campaign_of_meshes(same_name, LibraryRules(), VALUES)
 
 
 def asked_for(manifest: Path) -> Campaign:
