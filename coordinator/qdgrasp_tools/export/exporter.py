@@ -22,7 +22,6 @@ from qdgrasp_tools.export import arrays, jaw_files, tabular, yaml_files
 from qdgrasp_tools.export.grasp_reader import (
     ALL_FAILURES,
     ALL_GRASPS,
-    NOT_SETTLED,
     OBJECT_FRAMES,
     ChosenGrasps,
     GraspChoice,
@@ -171,10 +170,10 @@ class GraspWriter:
                 self.format.write(made, chosen.grasps.table(self.frame, metadata))
                 if self.format.has_mesh:
                     beside.write(jaw_files.mesh_file(chosen.grasps.scene.object, self.frame))
-        note = f" But {NOT_SETTLED}." if metadata.settled == NOT_SETTLED else ""
+        note = ""
         if self.choice.holds_in is not None:
             unknown = counted(chosen.unknown, "grasp")
-            note += f" Left out: {unknown} whose verdict in {self.choice.holds_in} is not known."
+            note = f" Left out: {unknown} whose verdict in {self.choice.holds_in} is not known."
         words = grasp_words(len(chosen.grasps), chosen.failures)
         return f"{words} written to {output.path}, poses in the object's {self.frame} frame.{note}"
 

@@ -234,7 +234,6 @@ OBJECT_FRAMES: dict[Frame, str] = {
     "mesh": "that of {}: its origin and axes, its lengths times object_scale",
     "com": "origin at the centre of mass, axes of {}",
 }
-NOT_SETTLED = "this run was recorded before settled poses were; the grasp pose is the commanded one"
 XYZW = "x, y, z, w"
 MICROMETRE = 6  # Decimals of a length [m]
 
@@ -242,8 +241,6 @@ MICROMETRE = 6  # Decimals of a length [m]
 def _settled_words(grasps: Grasps) -> str:
     """Say of how many successes the settled pose was recorded."""
     known, successes = np.count_nonzero(grasps.is_settled), np.count_nonzero(grasps.is_success)
-    if not known:
-        return NOT_SETTLED
     if known == successes:
         return "recorded of every success"
     return f"recorded of {known} of {successes} successes; the grasp pose of the others is the commanded one"
