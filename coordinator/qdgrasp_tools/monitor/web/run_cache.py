@@ -123,17 +123,13 @@ class RunCache:
     def __init__(self, records: Records, job: str, run: str, clock: Callable[[], float]) -> None:
         self._records, self._job, self._run, self._clock = records, job, run, clock
         self._reading = TtlCache(self._read, lambda one: FRESH_SECONDS if one.voxels.is_whole else 0.0, clock)
-
-        def scene(digest: str) -> TtlCache[LoadedScene]:
-            return TtlCache(lambda _: self._load_scene(digest), lambda _: inf, clock)
-
-        self._scenes = lru_cache(MAX_SCENES)(scene)
+        self._scenes = lru_cache(MAX_SCENES)(self._load_scene)
         self._pictures = lru_cache(MAX_GRASP_PICTURES)(self._draw)
 
     def scene(self) -> bytes:
         """Return JSON of the `BrowserScene` of the journal that the cells are from."""
         reading = self._reading.get()
-        scene = self._scenes(reading.origin.scene).get().shown
+        scene = self._scenes(reading.origin.scene).shown
         return msgspec.json.encode(replace(scene, origin=reading.voxels.origin))
 
     def cells(self, first: int) -> bytes:
@@ -143,7 +139,7 @@ class RunCache:
     def grasp(self, number: int) -> bytes:
         """Return JSON of the `grasp_view` of a journal row."""
         found, origin = self._success(number)
-        loaded = self._scenes(origin.scene).get()
+        loaded = self._scenes(origin.scene)
         (margin,) = recorded_margins(found, loaded.scene.object)
         return msgspec.json.encode(grasp_view(found[0], loaded.hand, loaded.shown, margin))
 
@@ -165,7 +161,7 @@ class RunCache:
         `_journal` tells rows of one number in different journals apart.
         """
         found, origin = self._success(int(number))
-        scene = self._scenes(origin.scene).get().scene
+        scene = self._scenes(origin.scene).scene
         return hand_picture(scene, found, GRASP_PIXELS, FIRST_VIEW)
 
     def _load_scene(self, digest: str) -> LoadedScene:

@@ -56,7 +56,6 @@ PICTURE_CACHING = "private, max-age=300"
 JSON = "application/json"
 STATE_SECONDS = 0.5  # Between two states that a browser gets [s]
 STUCK_SECONDS = 15.0  # A browser that takes nothing for so long is dropped [s]
-MAX_BROWSERS = 64
 
 
 def job_state(view: JobView) -> dict[str, object]:
@@ -88,7 +87,6 @@ class PageState:
         self._lock = threading.Lock()
         self._text = b""
         self._encoded_at = float("-inf")
-        self.browsers = 0
 
     def state(self) -> bytes:
         """Return all jobs as they are now, or were a moment ago, as JSON in one line."""
@@ -113,13 +111,9 @@ class PageState:
 
     async def events(self, stop: Stop) -> AsyncIterator[dict[str, str]]:
         """Yield the state again and again until this process is asked to stop."""
-        self.browsers += 1
-        try:
-            while not stop.is_set:
-                yield {"data": (await to_thread.run_sync(self.state)).decode()}
-                await asyncio.sleep(STATE_SECONDS)
-        finally:
-            self.browsers -= 1
+        while not stop.is_set:
+            yield {"data": (await to_thread.run_sync(self.state)).decode()}
+            await asyncio.sleep(STATE_SECONDS)
 
 
 def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
@@ -127,8 +121,6 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
     state, limiter = PageState(feed), CapacityLimiter(MAX_THREADS)
 
     async def stream(_request: Request) -> Response:
-        if state.browsers >= MAX_BROWSERS:
-            return PlainTextResponse("Too many browsers watch already.\n", 503, {"Retry-After": "5"})
         return EventSourceResponse(state.events(stop), sep="\n", ping=0, send_timeout=STUCK_SECONDS)
 
     def object_runs(request: Request) -> bytes:
