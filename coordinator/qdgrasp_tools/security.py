@@ -337,18 +337,12 @@ class SecurityFolder:
     def add(self, role: Role, name: str, *, hosts: Sequence[str], days: int) -> Path:
         """Issue one more certificate of a role, in a folder of its own that a node can be given.
 
-        Raises `SecurityError` where no authority is here that lasts as long, `OutputError` or `DiskFull`
+        Raises `SecurityError` where no authority is here, `OutputError` or `DiskFull`
         where such a folder is there already, or cannot be written.
         """
         if not NAME.fullmatch(name):
             raise ImpossibleValue("the name", name, "1 to 64 of the characters a-z, 0-9, '_' and '-'")
         root, place = self.authority, self.path / name
-        left = (root.certificate.not_valid_after_utc - datetime.now(UTC)).days
-        if days > left:
-            raise SecurityError(
-                f"A certificate cannot outlive its authority, which has {max(0, left)} days left, less than "
-                f"{days}; choose fewer with --days, or begin anew with `qdgrasp security init`."
-            )
         with OutFolder(place, "choose another name").writing() as made:
             _make_folder(made, root)
             _issue(made, Credentials(place.absolute(), role), root, hosts, days, name)

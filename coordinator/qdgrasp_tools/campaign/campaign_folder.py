@@ -43,10 +43,7 @@ from qdgrasp_protocol.errors import (
 from qdgrasp_protocol.messages import MAX_BUNDLE, inflate
 from qdgrasp_protocol.spec import RunSpec, differences, run_spec, to_values
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.campaign.campaign_file import (
-    Campaign,
-    read_campaign,
-)
+from qdgrasp_tools.campaign.campaign_file import Campaign, read_campaign
 from qdgrasp_tools.campaign.object_library import skip_report
 
 

@@ -14,15 +14,8 @@ from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.spec import STOP_KEYS
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.campaign.campaign_file import (
-    campaign_of_meshes,
-    check_meshes,
-    read_campaign,
-)
-from qdgrasp_tools.campaign.campaign_folder import (
-    begin_campaign,
-    open_campaign,
-)
+from qdgrasp_tools.campaign.campaign_file import campaign_of_meshes, check_meshes, read_campaign
+from qdgrasp_tools.campaign.campaign_folder import begin_campaign, open_campaign
 from qdgrasp_tools.campaign.object_library import LibraryRules, is_manifest
 from qdgrasp_tools.campaign.summaries import campaign_summary
 from qdgrasp_tools.cli import options

@@ -85,10 +85,3 @@ def test_what_is_no_host_is_refused_before_anything_is_written(tmp_path: Path, h
     with pytest.raises(ImpossibleValue, match="--host"):
         SecurityFolder.create(tmp_path / "security", hosts=[host], days=1)
     assert not (tmp_path / "security").exists()
-
-
-def test_no_certificate_outlives_its_authority(made: SecurityFolder) -> None:
-    with pytest.raises(SecurityError, match="which has 3649 days left, less than 3650; choose fewer"):
-        made.add(Role.WORKER, "lab-7", hosts=HOSTS, days=3650)
-    assert not (made.path / "lab-7").exists()
-    made.add(Role.WORKER, "lab-7", hosts=HOSTS, days=3649)
