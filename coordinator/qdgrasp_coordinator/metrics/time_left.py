@@ -48,10 +48,10 @@ class TimeLeft:
         self._row_work = 0.0  # Seconds of workers that had rows, or could have had, since then
         self._workers = 1  # The last number that was not 0
 
-    def note(self, figures: JobStatus, work: WorkersAtWork, shapes_left: float, now: float) -> JobStatus:
+    def note(self, figures: JobStatus, work: WorkersAtWork, shapes_left: int, now: float) -> JobStatus:
         """Return a job's figures with the time left, and with its work if no rows come in.
 
-        `shapes_left` are those under way, and those that are only expected.
+        `shapes_left` are those under way; shapes of runs that are not next are not counted.
         """
         passed = 0.0 if self._at is None else max(0.0, now - self._at)
         evaluations = figures.rate * figures.seconds  # Those that came in, replayed ones apart
@@ -68,7 +68,7 @@ class TimeLeft:
         left = self._estimate(figures, evaluations, shapes_left)
         return structs.replace(figures, seconds_left=left, doing=doing)
 
-    def _estimate(self, figures: JobStatus, evaluations: float, shapes_left: float) -> float | None:
+    def _estimate(self, figures: JobStatus, evaluations: float, shapes_left: int) -> float | None:
         """Return the seconds left by the mean costs so far; None where one is not known."""
         rows = shapes = 0.0
         if figures.remaining:

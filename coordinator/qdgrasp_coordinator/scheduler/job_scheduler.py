@@ -444,7 +444,7 @@ class JobScheduler:
             strays=self.dispatcher.strays,
             **{name: self.dispatcher.counters[name] for name in COUNTERS_SHOWN},
         )
-        return self._time_left.note(figures, self.workers.at_work, self.runs.shapes_left, now)
+        return self._time_left.note(figures, self.workers.at_work, self.runs.shapes.under_way, now)
 
 
 WORKERS_NAMED = 5  # Most workers that a refusal names

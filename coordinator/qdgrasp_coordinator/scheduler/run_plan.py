@@ -237,11 +237,6 @@ class RunQueue(Protocol):
         """Number of runs known to be left that wait for no shape; in any thread."""
         return 0
 
-    @property
-    def expected_shapes(self) -> float:
-        """Shapes that runs which were not looked at are likely to need; in any thread."""
-        return 0.0
-
     def take_shape(self, reply: BuildReply) -> ShapeWarning | None:
         """Take the end of a build of a shape that was wanted.
 

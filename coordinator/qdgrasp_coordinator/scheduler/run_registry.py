@@ -314,11 +314,6 @@ class RunRegistry:
         return self._scenes.get(digest) or self.shapes.files.get(digest)
 
     @property
-    def shapes_left(self) -> float:
-        """Shapes that are under way, and those that are likely to be wanted."""
-        return self.shapes.under_way + self._queue.expected_shapes
-
-    @property
     def are_done(self) -> bool:
         """True if every run of the job is finished or failed."""
         return self._all_opened and not self._open

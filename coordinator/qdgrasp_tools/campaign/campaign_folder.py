@@ -8,10 +8,9 @@ import re
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from qdgrasp_assets.asset_paths import named_path
-from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, is_in_catalog, shape_task, unpack_shape
+from qdgrasp_assets.object_shape import MAX_SHAPE, ShapeStore, shape_task, unpack_shape
 from qdgrasp_coordinator.metrics.job_status import RunListing
 from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.scheduler.run_plan import (
@@ -65,8 +64,6 @@ SCENE_KEYS = (
     *("protocol", "base", "engine", "surface_seed", "approach_distance", "resting_pose"),
 )
 """The keys of a spec that its scene depends on."""
-
-SHAPE_KEYS = ("object", "scale", "mesh", "surface_seed")  # Keys that tell shapes in a campaign apart
 
 
 def run_listing(path: Path, spec: RunSpec) -> RunListing | None:
@@ -129,9 +126,6 @@ class CampaignRunQueue(RunQueue):
         asked = JobExtent.of({name: spec.evaluations for name, spec in runs.items()})
         self.extent = asked.with_done(finished)
         self._left = deque(self.extent.budgets)  # Runs that were not looked at
-        self._unseen = {_shape_of(runs[name]) for name in self._left} - {None}  # Shapes of these alone
-        self._unseen_at_first = len(self._unseen)
-        self._built = 0  # Shapes of the others that had to be built
         self._ready: deque[str] = deque()
         self._waiting: dict[str, list[str]] = {}  # Runs by the key of the shape that they wait for
         self._wanted: deque[WantedShape] = deque()
@@ -176,13 +170,6 @@ class CampaignRunQueue(RunQueue):
         """Number of runs known to be left that wait for no shape."""
         return len(self._ready)
 
-    @property
-    def expected_shapes(self) -> float:
-        """Shapes that runs not looked at are likely to need, by the share of those before."""
-        unseen = len(self._unseen)
-        seen = self._unseen_at_first - unseen
-        return unseen * self._built / seen if seen else 0.0
-
     def wanted_shapes(self, most: int) -> WantedShapes:
         """Return shapes that the next runs need, until so many of them or of ready runs are found."""
         ready = len(self._ready)
@@ -220,7 +207,6 @@ class CampaignRunQueue(RunQueue):
         """Find out whether the next run waits for a shape."""
         name = self._left.popleft()
         spec, path = self._runs[name], self._folder.run_path(name) if self._folder else None
-        self._unseen.discard(_shape_of(spec))
         if path is not None and RunFolder.is_run(path) and RunFolder(path).has_bundle():
             self._ready.append(name)
             return
@@ -241,7 +227,6 @@ class CampaignRunQueue(RunQueue):
         else:
             self._waiting[task.key] = [name]
             self._wanted.append(WantedShape(task, named_path(spec.object)))
-            self._built += 1
 
     def _prepare(self, name: str, spec: RunSpec) -> RunPlan:
         path = self._folder.run_path(name) if self._folder else None
@@ -259,13 +244,6 @@ class CampaignRunQueue(RunQueue):
             shape = self._shapes.get(key) if key else None
             self._scene = known = spec, prepare_scene(spec, shape)
         return known[1]
-
-
-def _shape_of(spec: RunSpec) -> tuple[Any, ...] | None:
-    """Return all in a spec that tells shapes apart; None: an object of the catalog."""
-    if is_in_catalog(spec.object):
-        return None
-    return tuple(getattr(spec, key) for key in SHAPE_KEYS)
 
 
 def begin_campaign(path: Path, asked: Campaign, job: str | None = None) -> JobExtent:

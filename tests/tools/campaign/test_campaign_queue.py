@@ -91,20 +91,6 @@ def test_runs_are_made_with_the_scene_that_this_machine_would_build(runs, tmp_pa
     assert scenes == {name: prepare_scene(spec).bundle.digest for name, spec in runs.items()}
 
 
-def test_shapes_that_are_likely_to_be_needed_are_expected(runs: dict[str, RunSpec], tmp_path: Path) -> None:
-    queue = CampaignRunQueue(None, runs)
-    assert queue.expected_shapes == 0.0  # nothing was looked at
-    (first,) = queue.wanted_shapes(1).shapes
-    assert queue.expected_shapes == 1.0  # the one that was looked at had to be built
-    queue.wanted_shapes(10)
-    assert queue.expected_shapes == 0.0
-    queue.take_shape(built(first, tmp_path / "worker"))
-    again = CampaignRunQueue(None, runs)
-    assert not again.wanted_shapes(0).shapes
-    again.next()
-    assert again.expected_shapes == 0.0  # the one that was looked at lies in the store
-
-
 def test_the_runs_of_a_shape_that_cannot_be_built_fail_and_the_others_are_made(runs, tmp_path) -> None:
     queue = CampaignRunQueue(None, runs)
     bad, good = queue.wanted_shapes(10).shapes
