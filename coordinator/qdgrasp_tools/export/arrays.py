@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import parse_parts, parts_to_obj
 from qdgrasp_assets.geometry.rotation import from_frame, tangents
-from qdgrasp_coordinator.storage.scene_mjcf import closing_speeds, replay_files
 from qdgrasp_tools.export.grasp_table import COM, RunTable, from_matrices, object_mesh, to_matrices
+from qdgrasp_tools.export.scene_mjcf import closing_speeds, replay_files
 
 HALF, NO_TURN = 0.5**0.5, (0, 0, 0, 0, 0, 0, 1)
 SHADOW = "FFJ4 FFJ3 FFJ2 FFJ1 MFJ4 MFJ3 MFJ2 MFJ1 RFJ4 RFJ3 RFJ2 RFJ1 LFJ5 LFJ4 LFJ3 LFJ2 LFJ1"
