@@ -99,12 +99,13 @@ def found(out: Path, thing: Sequence[object], name: str, method: str, asked: arg
     return run
 
 
-def scored(run: Path, asked: argparse.Namespace) -> Path:
-    """Return the folder of a run's best grasps with eta; they are scored if it is not there."""
-    made = run.with_name(f"{run.name}-eta")
+def scored(run: Path, asked: argparse.Namespace, *flags: str) -> Path:
+    """Return the folder of the best grasps by eta, of twice as many; they are scored if it is not there."""
+    made = run.with_name("-".join([run.name, "eta", *(flag.removeprefix("--") for flag in flags)]))
     if not made.exists():
         trials = ("--base", "physical", "--engine", "mujoco", "--trials", asked.trials)
-        qdgrasp("rerank", run, *trials, "--top", asked.grasps, "--workers", asked.workers, "--out", made)
+        choice = ("--top", asked.grasps, "--candidates", 2 * asked.grasps)
+        qdgrasp("rerank", run, *trials, *choice, *flags, "--workers", asked.workers, "--out", made)
     return made
 
 
@@ -129,7 +130,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("elsewhere"), help="folder of runs and bundles")
     parser.add_argument("--grasps", type=int, default=60, help="grasps of each set, at most")
     parser.add_argument("--evaluations", type=int, default=300, help="evaluations of the default search")
-    parser.add_argument("--trials", type=int, default=20, help="trials of a grasp behind eta; 0: none")
+    parser.add_argument("--trials", type=int, default=20, help="trials of each of the best grasps; 0: none")
     parser.add_argument("--object", choices=("mug", "mallet"), help="one of the two alone")
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--workers", type=int, default=1)
@@ -146,6 +147,7 @@ def main() -> None:
             report(run, asked)
             if asked.trials and method == DEFAULT:
                 report(scored(run, asked), asked)
+                report(scored(run, asked, "--no-reseat"), asked)
 
 
 if __name__ == "__main__":

@@ -171,7 +171,7 @@ STOP_KEYS = ("evaluations", *GOAL_KEYS)
 
 TABLE_KEYS = ("mesh", "about")
 """Keys of a spec whose values are tables, which stand last in TOML."""
-UNTYPED_KEYS = ("about", "poses")
+UNTYPED_KEYS = ("about", "poses", "reseated")
 """Keys that nobody types: files and other commands give them."""
 OBJECTIVE_KEYS = ("aim_for", "diversity")
 """Keys of a spec that only the method with an objective has."""
@@ -246,6 +246,8 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         None
     )
     """Hand poses for the method `given`: x y z [m], qx qy qz qw, then synergy label and free joints [rad]."""
+    reseated: tuple[Annotated[int, Meta(ge=0, lt=MAX_POPULATION)], ...] | None = None
+    """Places of the poses at which the open hand of an earlier evaluation had settled; none: not tried."""
 
     @property
     def has_own_search(self) -> bool:

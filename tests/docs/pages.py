@@ -120,7 +120,7 @@ LONG = re.compile(
     r"qdgrasp (campaign|analyse|rerank|verify|jobs|pause|continue|drain|cancel)"
     r"|qdgrasp-(router|coordinator|recorder|worker|monitor)"
     r"|qdgrasp run .*(spec\.toml|--protocol robust|--workers 0|my_hand)"
-    r"|qdgrasp export (.*--holds-in|runs/\w+-robust)"  # of what verify and rerank made
+    r"|qdgrasp export (.*--holds-in|.*--verify-top|runs/\w+-robust)"  # of what verify and rerank made
     r"|qdgrasp resume .*--evaluations|qdgrasp info runs/(paper-small|budgets)"
     r"|python examples/own_"
     r"|curl "
@@ -132,7 +132,8 @@ SECONDS = 400.0
 
 CUTS: tuple[tuple[str, str], ...] = (
     (r"(--protocol robust .*)--evaluations \d+", r"\1--evaluations 12"),
-    (r"--top \d+", "--top 2"),
+    (r"(--|--verify-)top \d+", r"\1top 2"),
+    (r"--candidates \d+", "--candidates 3"),
     (r"--min-confidence \S+", "--min-confidence 0"),  # so few may all be below it
     (r"--grasps \d+ --evaluations \d+", "--grasps 20 --evaluations 60"),
     (r"(qdgrasp-worker .*)--workers \d+", r"\1--workers 1"),
@@ -161,6 +162,7 @@ CUTS: tuple[tuple[str, str], ...] = (
 DEFAULTS: tuple[tuple[str, str, str], ...] = (
     (r"qdgrasp (run|optimise) (?!.*(--evaluations|spec\.toml))", "--evaluations", "60"),
     (r"qdgrasp (run|resume|campaign|rerank|evaluate|verify) (?!.*(--workers|--list))", "--workers", "1"),
+    (r"qdgrasp export (?=.*--verify-top)", "--workers", "1"),
     (r"qdgrasp run (?=.*--workers 0)(?!.*--listen)", "--listen", "{tcp}"),
     (r"qdgrasp (run|resume|campaign|rerank) (?!.*--list)", "--listen", "{own}"),
     (r"qdgrasp (jobs|pause|continue|drain|cancel)\b(?!.*--connect)", "--connect", "{tcp}"),

@@ -9,10 +9,10 @@ from PIL import Image
 from tests.common import wait_for
 from tests.system.commands import BUDGET, Commands, rows_recorded
 
+from qdgrasp_coordinator.search.source_runs import read_run_grasps
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import read_run_spec
-from qdgrasp_tools.campaign.source_runs import read_run_grasps
 
 
 def test_a_run_ends_with_exactly_its_budget_and_says_what_it_found(reference):
@@ -113,3 +113,18 @@ def test_grasps_that_are_scored_again_get_the_eta_that_the_search_heard(qdgrasp,
         assert float(line["eta"]) == heard[(int(line["source_generation"]), int(line["source_index"]))]
     info = qdgrasp.info("again")
     assert (info["method"], info["evaluations"], info["trials"]) == ("given", 3, 300)
+
+
+@pytest.mark.slow
+def test_an_export_scores_the_best_first_from_where_their_jaw_settled(qdgrasp):
+    scene = ("--gripper", "panda", "--object", "rubiks_cube", "--evaluations", 60)
+    qdgrasp.succeed("run", *scene, "--out", "first", "--workers", 2)
+    flags = ("--format", "csv", "--verify-top", 4, "--top", 2, "-o")
+    qdgrasp.succeed("export", "first", *flags, "grasps.csv")
+    assert "export it instead" in qdgrasp("export", "first", *flags, "again.csv").err
+    lines = (qdgrasp.home / "grasps.csv").read_text().splitlines()
+    grasps = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    found = [(each["trials"], each["eta_hard"] != "", each["reseated"]) for each in grasps]
+    assert found == [("100", True, "1")] * 2
+    info = qdgrasp.info("runs/first-robust")
+    assert (info["method"], info["evaluations"], info["trials"]) == ("given", 2, 240)

@@ -19,6 +19,7 @@ from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.spec import RunSpec, run_spec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.cli import options
+from qdgrasp_tools.cli.run_commands import FINALISTS, scored_run
 from qdgrasp_tools.local.progress import progress_display, progress_messages
 from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines, score_genomes
 
@@ -70,7 +71,7 @@ def export(
         ),
     ] = 0.0,
     top: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Only the N best: by eta, fitness, motion.")
+        int | None, typer.Option(min=1, metavar="N", help="Only the N best: by eta, else fitness, motion.")
     ] = None,
     diverse: Annotated[
         int | None,
@@ -80,6 +81,12 @@ def export(
     max_motion: options.MaxMotion = None,
     min_margin: options.MinMargin = None,
     min_links: options.MinLinks = None,
+    verify_top: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="Score the N best first, as `rerank` does, and write the best of these."
+        ),
+    ] = None,
     holds_in: Annotated[
         str | None,
         typer.Option(
@@ -105,8 +112,12 @@ def export(
     Every file says in which frames its poses are, the order of quaternions, scale, what success means, and
     under which licence the assets are. A run in progress gives what it has recorded by now. With
     --approach-distance or --resting-pose those grasps are written that the open hand comes to, with the way
-    that it comes, as of a run that was asked for that. Of several runs, or of a campaign, OUT is a folder
+    that it comes, as of a run that was asked for that. With --verify-top the N best grasps are evaluated in
+    10 disturbed trials each, and the --top best of these (100) in 120, as a run of their own,
+    runs/RUN-robust, of which the file then is. Of several runs, or of a campaign, OUT is a folder
     with an index and a card; flags choose from each run.
+
+    Example: qdgrasp export runs/mug --verify-top 200 --format isaac -o grasps.yaml
 
     Example: qdgrasp export runs/mug-s0 runs/mug-s1 runs/campaign --format parquet -o grasps
     """  # noqa: D205  # typer joins the lines
@@ -118,6 +129,11 @@ def export(
     choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in, **keys)
     folders = run_folders(directories)
     is_one = len(directories) == 1 and [folder.path for folder in folders] == directories
+    if verify_top is not None:
+        if not is_one:
+            raise InputError("--verify-top scores the grasps of one run; name one, or leave it out.")
+        exporter.format_of(name)
+        folders = [scored_run(folders[0], limits, top or FINALISTS, verify_top, **keys)]
     with progress_messages() as tell:
         written = exporter.export_grasps(
             folders[0] if is_one else folders,

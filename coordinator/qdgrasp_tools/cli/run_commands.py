@@ -4,38 +4,34 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import numpy as np
 import typer
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
+from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits, settled_mask, settled_poses
+from qdgrasp_coordinator.metrics.successes import Successes, TrialPlan, all_successes, best_first
 from qdgrasp_coordinator.scheduler import run_plan
-from qdgrasp_coordinator.search.fixed_poses import as_given
-from qdgrasp_coordinator.search.registry import prior_of
+from qdgrasp_coordinator.search import source_runs
 from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.run_folder import NO_FILES, Files, RunFolder
+from qdgrasp_coordinator.storage.run_folder import NO_FILES, Files, PreparedScene, RunFolder
 from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EndedEarly, FolderError, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
-from qdgrasp_protocol.rows import GIVEN, HARD_TRIALS, LIFT, TRIAL_COUNTS, TRIALS, Rows
+from qdgrasp_protocol.rows import TRIAL_COUNTS, TRIALS, Outcome, Rows
 from qdgrasp_protocol.spec import (
-    DEFAULT_ENGINE,
-    GOAL_KEYS,
     MAX_POPULATION,
-    OBJECTIVE_KEYS,
     STOP_KEYS,
     RunSpec,
     read_run_spec,
-    run_spec,
-    to_values,
 )
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.campaign import source_runs
 from qdgrasp_tools.campaign.campaign_folder import extend_run
+from qdgrasp_tools.campaign.ranking import write_ranking
 from qdgrasp_tools.campaign.summaries import run_summary
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import ProgressDisplay, progress_display, progress_messages
-from qdgrasp_tools.local.supervisor import LocalJobConfig, Supervisor, check_engines
+from qdgrasp_tools.local.supervisor import LocalJobConfig, Supervisor, check_engines, score_genomes
 from qdgrasp_tools.report.row_report import genome_reader
 
 
@@ -99,23 +95,29 @@ def start_run(
     config: LocalJobConfig,
     job: str | None = None,
     more: Files = NO_FILES,
-    like: Scene | None = None,
+    prepared: PreparedScene | None = None,
 ) -> None:
-    """Begin a run in a new folder, with `more` files in it, and carry it out.
-
-    Raises InputError if hand or object differ from those of the scene `like`.
-    """
+    """Begin a run in a new folder, with `more` files in it, and carry it out."""
     RunFolder.check_free(out)
-    check_engines([spec], config.workers)
-    echo(f"building the scene of {spec.gripper} and {spec.object}", err=True)
-    with progress_messages() as tell:
-        scene, bundle = run_plan.prepare_scene(spec, tell=tell)
-    if like is not None:
-        _check_same(like, scene)
+    _, bundle = prepared or build_scene_of(spec, config)
     with progress_display(out.name, spec.evaluations) as shown, lifetime("qdgrasp run") as stop:
         folder = RunFolder.create(out, spec, bundle, job=job, more=more)
         run_job(folder.job, config, shown, stop)
     print_result(folder, stop, is_timed=config.seconds is not None)
+
+
+def build_scene_of(spec: RunSpec, config: LocalJobConfig, like: Scene | None = None) -> PreparedScene:
+    """Build the scene of a run that this machine carries out.
+
+    Raises InputError if hand or object differ from those of the scene `like`.
+    """
+    check_engines([spec], config.workers)
+    echo(f"building the scene of {spec.gripper} and {spec.object}", err=True)
+    with progress_messages() as tell:
+        prepared = run_plan.prepare_scene(spec, tell=tell)
+    if like is not None:
+        _check_same(like, prepared.scene)
+    return prepared
 
 
 def print_result(folder: RunFolder, stop: Stop, *, is_timed: bool = False) -> None:
@@ -148,7 +150,7 @@ def echo_errors(errors: int, path: str) -> None:
 def write_ranking_of(folder: RunFolder) -> None:
     """Rank the grasps of a complete run that has scored them again."""
     if source_runs.is_reranking(folder):
-        echo(source_runs.write_ranking(folder))
+        echo(write_ranking(folder))
 
 
 @options.spec_flags("evaluations", "grasps", sets=STOP_KEYS)
@@ -194,6 +196,10 @@ def resume(
     print_result(folder, stop, is_timed=seconds is not None)
 
 
+FINALISTS = 100
+FEW_TRIALS = 10  # Trials by which finalists are chosen
+
+
 @options.spec_flags("base", "engine", "approach_distance", "resting_pose", sets=())
 def rerank(
     directory: options.RunDir,
@@ -201,7 +207,11 @@ def rerank(
     protocol: Annotated[str, typer.Option(help="Evaluation protocol with trials.")] = "robust",
     top: Annotated[
         int, typer.Option(min=1, max=MAX_POPULATION, help="How many grasps; all where there are fewer.")
-    ] = 100,
+    ] = FINALISTS,
+    candidates: Annotated[
+        int | None,
+        typer.Option(min=1, max=MAX_POPULATION, help="Choose them from so many, by 10 trials of each."),
+    ] = None,
     trials: Annotated[
         int, typer.Option(min=1, max=TRIALS, help="Trials of each; 20 harder after 100.")
     ] = TRIALS,
@@ -209,6 +219,10 @@ def rerank(
     max_motion: options.MaxMotion = None,
     min_margin: options.MinMargin = None,
     min_links: options.MinLinks = None,
+    reseat: Annotated[
+        bool,
+        typer.Option("--reseat/--no-reseat", help="Close a jaw from where it settled, if it holds there."),
+    ] = True,
     workers: options.Workers = None,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
@@ -219,32 +233,96 @@ def rerank(
     """Score the best grasps of a run again, in many disturbed trials each, and rank them by eta.
 
     Taken is the best grasp of each cell, or of each kind that the run told apart, and of these the --top
-    best. The folder is that of a run: `qdgrasp resume` continues it, and workers may join; it can be scored
-    again, few of its best with more trials. ranking.csv in it holds every grasp by eta.
+    best. Under `physical` a jaw closes from where it settled before, if it holds from there too. The folder
+    is that of a run: `qdgrasp resume` continues it, and workers may join; it can be scored again.
+    ranking.csv in it holds every grasp by eta.
 
     With two engines a trial is passed that holds in both.
 
-    Example: qdgrasp rerank runs/demo --top 50 --resting-pose any
+    Example: qdgrasp rerank runs/demo --top 50 --candidates 400 --resting-pose any
 
     Example: qdgrasp rerank runs/demo --engine bullet,mujoco --base physical
     """
     if protocol not in TRIAL_COUNTS:
         raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)
     source = RunFolder.open(directory)
-    folder = out or Path("runs") / f"{source.path.absolute().name}-{protocol}"
-    RunFolder.check_free(folder)
     limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
+    count = options.worker_count(workers, keys.get("engine") or source.spec.engine)
+    config = LocalJobConfig(count, listen, security, insecure)
+    asked = {"protocol": protocol, "trials": trials} | keys
+    out = out or scored_path(source, protocol)
+    score_again(source, out, config, asked, limits, top, candidates, reseat=reseat, job=job)
+
+
+def scored_path(source: RunFolder, protocol: str = "robust") -> Path:
+    """The usual folder of the run that scores grasps of another again."""
+    return Path("runs") / f"{source.path.absolute().name}-{protocol}"
+
+
+def scored_run(source: RunFolder, limits: GraspLimits, top: int, candidates: int, **asked: Any) -> RunFolder:
+    """Score grasps of a run again by own workers, as `score_again`; return the new run."""
+    folder, asked = RunFolder(scored_path(source)), {"protocol": "robust", "trials": TRIALS} | asked
+    if source_runs.is_reranking(folder):
+        raise FolderError(
+            f"{folder.path} has scores already: export it instead, or remove it to score again."
+        )
+    config = LocalJobConfig(options.worker_count(None, source.spec.engine))
+    score_again(source, folder.path, config, asked, limits, top, candidates)
+    return folder
+
+
+def score_again(
+    source: RunFolder,
+    out: Path,
+    config: LocalJobConfig,
+    asked: dict[str, Any],
+    limits: GraspLimits,
+    top: int,
+    candidates: int | None,
+    *,
+    reseat: bool = True,
+    job: str | None = None,
+) -> None:
+    """Score the best grasps of a run again in a new one; `asked` are keys of its spec.
+
+    Of more `candidates` than `top` those are scored that are the best in few trials.
+    """
+    RunFolder.check_free(out)
     found = _grasps_of(source, limits)
-    base, engine, ways = keys.pop("base", None), keys.pop("engine", None), keys
-    if ways:
+    if ways := {key: asked[key] for key in ("approach_distance", "resting_pose") if key in asked}:
         found = source_runs.reachable_grasps(source, found, **ways)
     kinds = source_runs.kinds_of_run(source.spec, found, genome_reader(source))
-    chosen = source_runs.best_of_kinds(found, top, kinds)
-    spec = rerank_spec(source, chosen, base, engine, protocol=protocol, trials=trials, **ways)
-    count = options.worker_count(workers, spec.engine)
-    config = LocalJobConfig(count, listen, security, insecure)
-    echo(f"scoring {counted(len(chosen), 'grasp')} of {directory} again", err=True)
-    start_run(spec, folder, config, job, source_runs.source_file(source, chosen), source.scene())
+    chosen = source_runs.best_of_kinds(found, max(top, candidates or top), kinds)
+    spec = source_runs.rerank_spec(source, chosen, **asked)
+    prepared = build_scene_of(spec, config, source.scene())
+    is_seated = np.isin(chosen["index"], source.spec.reseated or ())
+    if reseat and not is_seated.any() and prepared.scene.gripper.jaw and spec.base == "physical":
+        seats = chosen.copy()
+        seats["base_to_object"] = settled_poses(chosen)
+        once = source_runs.rerank_spec(source, seats, **asked | {"trials": 1})
+        tried = _evaluated(once, prepared, config, "closing from where hands settled")
+        is_seated = settled_mask(chosen) & (tried.rows["outcome"] == Outcome.HELD)
+        chosen[is_seated] = seats[is_seated]
+    if len(chosen) > top:
+        few = source_runs.rerank_spec(source, chosen, **asked | {"trials": FEW_TRIALS})
+        tried = _evaluated(few, prepared, config, f"trying each grasp {FEW_TRIALS} times")
+        best = best_first(tried.rows, tried.scores)[:top]
+        chosen, is_seated = chosen[best], is_seated[best]
+    places = tuple(np.flatnonzero(is_seated).tolist()) or None
+    spec = msgspec.structs.replace(source_runs.rerank_spec(source, chosen, **asked), reseated=places)
+    echo(f"scoring {counted(len(chosen), 'grasp')} of {source.path} again", err=True)
+    start_run(spec, out, config, job, source_runs.source_file(source, chosen), prepared)
+
+
+def _evaluated(spec: RunSpec, prepared: PreparedScene, config: LocalJobConfig, words: str) -> Successes:
+    """Evaluate the poses of a spec with own workers; return all of them in their order."""
+    genomes = np.array(spec.poses, np.float32)
+    with progress_display("rerank", len(genomes)) as shown, lifetime("qdgrasp rerank") as stop:
+        shown.say(words)
+        rows = score_genomes(spec, prepared, genomes, config, shown, stop)
+    if stop.is_set:
+        raise typer.Exit(stop.exit_code)
+    return all_successes(rows, TrialPlan.of(spec), least=Outcome.ERROR)
 
 
 def _grasps_of(source: RunFolder, limits: GraspLimits) -> Rows:
@@ -259,33 +337,6 @@ def _grasps_of(source: RunFolder, limits: GraspLimits) -> Rows:
     return found
 
 
-def rerank_spec(
-    source: RunFolder, chosen: Rows, base: str | None, engine: str | None = None, **asked: Any
-) -> RunSpec:
-    """The spec of a run that scores grasps of another.
-
-    Its base and engine are those of the run unless given.
-    """
-    genomes = as_given(source.scene(), prior_of(source.spec), chosen)
-    poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
-    disturbed = base or ("physical" if source.spec.nominal_protocol in ("physical", LIFT) else "paper")
-    if disturbed == "physical" and asked.get("trials") == TRIALS:
-        asked["trials"] += HARD_TRIALS
-    values = to_values(source.spec) | {
-        "method": GIVEN,
-        "base": disturbed,
-        "engine": engine or source.spec.engine or DEFAULT_ENGINE,
-        "evaluations": len(poses),
-        "population": len(poses),
-        "generations_in_flight": 1,
-        "overlaps": "count",
-        "poses": poses,
-    }
-    return run_spec({key: value for key, value in values.items() if key not in OF_A_SEARCH} | asked, "rerank")
-
-
-OF_A_SEARCH = (*OBJECTIVE_KEYS, "in_flight", "trials", *GOAL_KEYS)
-"""Keys of a run that do not go over to the run that scores its grasps again."""
 OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
 """Values of a hand that differ between protocols, or that scenes of version 0.1.0 lack."""
 

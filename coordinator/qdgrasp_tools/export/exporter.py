@@ -8,6 +8,7 @@ from string import Template
 from typing import Any, NamedTuple
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
+from qdgrasp_coordinator.metrics.grasp_quality import takes_held
 from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output
@@ -173,7 +174,12 @@ class GraspWriter:
         note = ""
         if self.choice.holds_in is not None:
             unknown = counted(chosen.unknown, "grasp")
-            note = f" Left out: {unknown} whose verdict in {self.choice.holds_in} is not known."
+            note += f" Left out: {unknown} whose verdict in {self.choice.holds_in} is not known."
+        is_ranked = self.choice.top is not None or self.choice.diverse is not None
+        if is_ranked and takes_held(folder.spec) and not chosen.grasps.trials.any():
+            note += (
+                " They were ranked by the object's motion; --verify-top 200 scores them, which ranks better."
+            )
         words = grasp_words(len(chosen.grasps), chosen.failures)
         return f"{words} written to {output.path}, poses in the object's {self.frame} frame.{note}"
 

@@ -33,12 +33,13 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import LIFT, Outcome
 from qdgrasp_protocol.spec import RunSpec, to_toml
-from qdgrasp_protocol.text import join_numbers
+from qdgrasp_protocol.text import counted, join_numbers
 from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import (
     COM,
     FITNESS_MEANING,
     LIFT_MEANING,
+    POSE_WORDS,
     Frame,
     GraspMetadata,
     RestingPoseRecord,
@@ -238,6 +239,13 @@ XYZW = "x, y, z, w"
 MICROMETRE = 6  # Decimals of a length [m]
 
 
+def _pose_words(grasps: Grasps) -> str:
+    """Say which pose hands close from."""
+    seated = np.count_nonzero(grasps.reseated)
+    words = f"; of {seated} of {counted(len(grasps), 'grasp')} it is where an earlier evaluation settled"
+    return f"{POSE_WORDS}{words} (reseated): there the object hardly moves" if seated else POSE_WORDS
+
+
 def _settled_words(grasps: Grasps) -> str:
     """Say of how many successes the settled pose was recorded."""
     known, successes = np.count_nonzero(grasps.is_settled), np.count_nonzero(grasps.is_success)
@@ -284,6 +292,7 @@ def grasp_metadata(chosen: ChosenGrasps, frame: Frame, journal: Journal) -> Gras
         fitness=LIFT_MEANING if scene.protocol == LIFT else FITNESS_MEANING,
         min_fitness=chosen.min_fitness,
         confidence=_confidence_words(grasps.spec),
+        poses=_pose_words(grasps),
         settled=_settled_words(grasps),
         approach_distance=UNSET if check is None else check.distance,
         resting_poses=_resting_poses(check, origin) if check and check.poses else UNSET,
@@ -321,7 +330,7 @@ def _confidence_words(spec: RunSpec) -> str:
 def _public_spec(spec: RunSpec) -> str:
     """Write a spec without the folders of its author's files, and without poses."""
     names = {name: Path(getattr(spec, name)).name for name in ("gripper", "object")}
-    return to_toml(msgspec.structs.replace(spec, poses=None, **names))
+    return to_toml(msgspec.structs.replace(spec, poses=None, reseated=None, **names))
 
 
 def part_digest(part: SceneGripper | SceneObject) -> str:

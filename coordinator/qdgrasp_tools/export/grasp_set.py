@@ -292,6 +292,11 @@ class Grasps:
         """(n,), 0 to 1, higher is better: eta where known, else the share of disturbances survived."""
         return np.where(np.isnan(self.eta), self.fitness / self.spec.disturbances, self.eta)
 
+    @property
+    def reseated(self) -> NDArray[np.bool_]:
+        """(n,): True where the commanded pose is the one at which the hand had settled before."""
+        return np.isin(self.rows["index"], self.spec.reseated or ())
+
     @cached_property
     def starts(self) -> NDArray[np.float32]:
         """(n, d): genomes of the prior `given` that evaluate to these very rows, bit for bit."""
@@ -464,6 +469,7 @@ class Grasps:
         yield from self.postures.columns()
         yield GraspColumn("width", grip.jaw_widths(self.scene.gripper, self.joints), grip.WIDTH_MEANING)
         yield GraspColumn("grip_force", grip.grip_forces(self.contacts), grip.FORCE_MEANING)
+        yield GraspColumn("reseated", self.reseated.astype(np.uint8), "1: closed from where it had settled")
         way, angle = self.motion.T
         yield GraspColumn("motion_mm", 1e3 * way, "way of the object in the hand while it closed [mm]")
         yield GraspColumn("motion_deg", np.degrees(angle), "its turn meanwhile [deg]")

@@ -87,7 +87,8 @@ def object_mesh(body: SceneObject, frame: Frame) -> Mesh:
 
 
 POSE_WORDS = (
-    "the commanded pose goes with the joints before closing (pregrasp), the settled pose with those after it"
+    "close the hand from the commanded pose with the joints before closing (pregrasp); the settled pose goes "
+    "with the joints after it"
 )
 FITNESS_MEANING = (
     "disturbances survived in the nominal evaluation: 0 to 2 shakes, in `physical` 0 to 6 pushes; "

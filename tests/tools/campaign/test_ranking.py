@@ -11,17 +11,11 @@ from tests.coordinator.recorded_runs import record_spec
 
 from qdgrasp_coordinator.metrics.cells import MIDDLES, GenomeReader, cell_keys, cells
 from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes, best_first
+from qdgrasp_coordinator.search.source_runs import best_of_kinds, is_reranking, kinds_of_run, source_file
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.campaign.source_runs import (
-    best_of_kinds,
-    is_reranking,
-    kinds_of_run,
-    rank_poses,
-    source_file,
-    write_ranking,
-)
+from qdgrasp_tools.campaign.ranking import rank_poses, write_ranking
 
 SHAPE = RowShape(genes=7, joints=2)
 TRIALS = 100

@@ -6,9 +6,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
-from tests.coordinator.recorded_runs import random_rows, record
+from numpy.typing import NDArray
+from tests.coordinator.recorded_runs import random_rows, record, record_spec
 from tests.coordinator.scenes import made_scene
 from tests.tools.monitor.sample_jobs import values, views
 from typer.testing import CliRunner, Result
@@ -16,7 +18,9 @@ from typer.testing import CliRunner, Result
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import pack_scene
+from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS
 from qdgrasp_coordinator.search.registry import check_spec
+from qdgrasp_coordinator.search.source_runs import rerank_spec
 from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -29,7 +33,7 @@ from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.cli import job_commands, options, run_commands
 from qdgrasp_tools.cli.main import app
-from qdgrasp_tools.cli.run_commands import rerank_spec
+from qdgrasp_tools.local.supervisor import LocalJobConfig
 
 SPEC = RunSpec(gripper="panda", object="tennis_ball", mass=0.07, method="contact_me_scs", seed=5, grasps=9)
 
@@ -70,6 +74,41 @@ def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) ->
     assert (spec.method, spec.protocol, spec.evaluations, spec.population) == ("given", "robust", 3, 3)
     assert spec.trial_count == 10
     assert spec.poses == ((0, 0, 0, 0, 0, 0, 1),) * 3
+
+
+def test_a_jaw_closes_from_where_it_settled_if_it_holds_there_and_the_best_few_go_on(tmp_path, monkeypatch):
+    spec = msgspec.structs.replace(SPEC, protocol="physical", grasps=None)
+    scene = build_scene(spec)
+    shape = RowShape(len(layout(scene, "contact")), len(scene.gripper.joints), scene.contact_slots)
+    rows = shape.empty(6)
+    rows["index"], rows["outcome"], rows["fitness"] = np.arange(6), Outcome.HELD, 6
+    rows["base_to_object"][:, 6] = rows["settled"][:, 6] = 1
+    rows["descriptor"][:, 0] = rows["base_to_object"][:, 0] = np.arange(6) / 10
+    rows["settled"][:, 0] = np.arange(6) / 10 + np.arange(1, 7) / 1000  # the first moved least
+    source = record_spec(tmp_path / "source", spec, rows, pack_scene(scene))
+    asked: list[int | None] = []
+    made: list[RunSpec] = []
+
+    def scored(spec: RunSpec, prepared: object, genomes: NDArray[np.float32], *_: object) -> Rows:
+        asked.append(spec.trials)
+        found = RowShape(7, 2, scene.contact_slots).empty(len(genomes))
+        found["index"], found["outcome"] = np.arange(len(genomes)), Outcome.HELD
+        found["outcome"][4] = Outcome.OVERLAP if spec.trials == 1 else Outcome.HELD
+        again = np.repeat(found[found["outcome"] == Outcome.HELD], spec.trials)
+        again["trial"], again["fitness"] = 1, again["index"]  # the last is the best
+        return np.concatenate([found, again])
+
+    monkeypatch.setattr(run_commands, "score_genomes", scored)
+    monkeypatch.setattr(run_commands, "start_run", lambda spec, *_: made.append(spec))
+    values, config = {"protocol": "robust", "trials": 100}, LocalJobConfig(1)
+    for reseat in (True, False):
+        run_commands.score_again(source, tmp_path / "out", config, values, NO_LIMITS, 3, 6, reseat=reseat)
+    seated, plain = made
+    assert asked == [1, 10, 10]
+    assert (seated.trials, seated.base, seated.reseated) == (120, "physical", (0, 2))
+    assert [pose[0] for pose in seated.poses] == pytest.approx([0.506, 0.4, 0.304])
+    assert plain.reseated is None
+    assert [pose[0] for pose in plain.poses] == pytest.approx([0.5, 0.4, 0.3])
 
 
 EVIL = "\x1b[2J"

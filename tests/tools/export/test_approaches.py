@@ -14,10 +14,10 @@ from tests.tools.export.conftest import COM, random_rows
 
 from qdgrasp_assets.geometry.resting_poses import resting_poses
 from qdgrasp_assets.scene import Scene
+from qdgrasp_coordinator.search.source_runs import reachable_grasps
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import ImpossibleValue, InputError
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_tools.campaign.source_runs import reachable_grasps
 from qdgrasp_tools.export.exporter import FORMATS, export_grasps
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run, select_grasps
 from qdgrasp_tools.export.grasp_set import Grasps

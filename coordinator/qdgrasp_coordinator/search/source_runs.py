@@ -1,4 +1,6 @@
-"""Runs that a new one takes poses from, to score them again and rank them."""
+"""Grasps of a run from which a new one takes its poses, to score them again."""
+
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -7,33 +9,15 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.cells import GenomeReader, cell_keys, cells, niches, without_synergy
 from qdgrasp_coordinator.metrics.contact_niches import contact_niches
-from qdgrasp_coordinator.metrics.grasp_quality import (
-    MM,
-    object_motion,
-    recorded_margins,
-    settled_mask,
-    settled_poses,
-)
-from qdgrasp_coordinator.metrics.successes import TrialPlan, best_first, eta_error
+from qdgrasp_coordinator.metrics.successes import best_first
+from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage import outputs
-from qdgrasp_coordinator.storage.outputs import RANKING, SOURCE
+from qdgrasp_coordinator.storage.outputs import SOURCE
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_coordinator.storage.tables import aligned_text, csv_text
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_protocol.text import counted
-
-RANKS_SHOWN = 10  # Grasps that are shown to a person
-ETA_DIGITS = 4  # Their decimals, at most
-RANKING_COLUMNS = (
-    "rank", "eta", "eta_hard", "eta_error", "trials", "nominal_fitness",
-    "source_generation", "source_index", "source_fitness",
-    "cell_x", "cell_y", "cell_z", "x", "y", "z", "qx", "qy", "qz", "qw",
-    "settled_x", "settled_y", "settled_z", "settled_qx", "settled_qy", "settled_qz", "settled_qw",
-    "penetration", "motion_mm", "margin",
-)  # fmt: skip
+from qdgrasp_protocol.rows import GIVEN, HARD_TRIALS, LIFT, TRIALS, Outcome, Rows
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, GOAL_KEYS, OBJECTIVE_KEYS, RunSpec, run_spec, to_values
 
 
 class SourceRow(Struct, frozen=True):
@@ -122,39 +106,38 @@ def is_reranking(folder: RunFolder) -> bool:
     return (folder.path / SOURCE).is_file()
 
 
-def write_ranking(folder: RunFolder) -> str:
-    """Rank the poses of a complete run that scores grasps again, and write `ranking.csv`.
-
-    Returns the best of them as a table. Raises FolderError if a file cannot be read or written.
-    """
-    table = rank_poses(folder)
-    rows = [dict(zip(RANKING_COLUMNS, (f"{value:.9g}" for value in line), strict=True)) for line in table]
-    outputs.replace(folder.path / RANKING, csv_text(rows, RANKING_COLUMNS).encode())
-    shown = [[f"{round(value, ETA_DIGITS):g}" for value in line[:12]] for line in table[:RANKS_SHOWN]]
-    text = aligned_text([RANKING_COLUMNS[:12], *shown])
-    return f"{text}\n{counted(len(table), 'grasp')} ranked in {folder.path / RANKING}"
-
-
-def rank_poses(folder: RunFolder) -> list[list[float]]:
-    """Rank a run's poses, best first, ties in their order; each as in `RANKING_COLUMNS`.
-
-    By eta (`best_first`). A pose that is no success any more has eta 0: it has no trials.
-    """
+def read_source(folder: RunFolder) -> RankingSource:
+    """Read the origin of the poses of a run that scores grasps again; raises FolderError."""
     try:
-        source = msgspec.json.decode(outputs.read(folder.path / SOURCE), type=RankingSource)
+        return msgspec.json.decode(outputs.read(folder.path / SOURCE), type=RankingSource)
     except (msgspec.MsgspecError, RecursionError) as error:
         raise outputs.damaged_file(folder.path / SOURCE, str(error)) from None
-    found = folder.successes(Outcome.ERROR)
-    rows, trials, etas = found.rows, found.trials, TrialPlan.of(folder.spec).eta(found.scores)
-    settled = np.where(settled_mask(rows)[:, None], settled_poses(rows), np.nan)
-    margins = np.full(len(rows), np.nan)
-    if settled_mask(rows).any():
-        margins = recorded_margins(rows, folder.scene().object)
-    columns = (
-        *(etas, found.eta_hard, eta_error(etas, trials), trials, rows["fitness"]),
-        [msgspec.structs.astuple(source.rows[place]) for place in range(len(rows))],
-        *(cells(rows["descriptor"][:, :3]), rows["base_to_object"], settled),
-        *(rows["penetration"], object_motion(rows)[:, 0] / MM, margins),
-    )
-    ordered = np.column_stack(columns)[best_first(rows, np.where(trials > 0, etas, -1.0), found.eta_hard)]
-    return [[rank, *line] for rank, line in enumerate(ordered.tolist(), start=1)]
+
+
+def rerank_spec(
+    source: RunFolder, chosen: Rows, base: str | None = None, engine: str | None = None, **asked: Any
+) -> RunSpec:
+    """The spec of a run that scores grasps of another.
+
+    Its base and engine are those of the run unless given.
+    """
+    genomes = as_given(source.scene(), prior_of(source.spec), chosen)
+    poses = [[float(str(number)) for number in genome] for genome in genomes]  # the shortest decimals
+    disturbed = base or ("physical" if source.spec.nominal_protocol in ("physical", LIFT) else "paper")
+    if disturbed == "physical" and asked.get("trials") == TRIALS:
+        asked["trials"] += HARD_TRIALS
+    values = to_values(source.spec) | {
+        "method": GIVEN,
+        "base": disturbed,
+        "engine": engine or source.spec.engine or DEFAULT_ENGINE,
+        "evaluations": len(poses),
+        "population": len(poses),
+        "generations_in_flight": 1,
+        "overlaps": "count",
+        "poses": poses,
+    }
+    return run_spec({key: value for key, value in values.items() if key not in OF_A_SEARCH} | asked, "rerank")
+
+
+OF_A_SEARCH = (*OBJECTIVE_KEYS, "in_flight", "trials", "reseated", *GOAL_KEYS)
+"""Keys of a run that do not go over to the run that scores its grasps again."""
