@@ -111,6 +111,7 @@ ELSEWHERE = {
     r"kubectl ": "needs a cluster; the objects have tests of their own (tests/deploy)",
     r"python examples/own_optimiser\.py \S+ tcp/": "needs a router with workers; tests/examples has both",
     r"python part-bundle/replay\.py": "is run by tests of their own (tests/tools/export)",
+    r"qdgrasp-monitor\b(?!.*--web)": "draws on a terminal; tests/system has one",
     r"ssh ": "needs another machine",
     r"qdgrasp asset fetch": "fetches gigabytes from the network; it has tests with a server of their own",
 }
@@ -177,7 +178,6 @@ SERVICES: dict[str, str] = {
     r"qdgrasp-recorder": "",
     r"qdgrasp-worker": "",
     r"qdgrasp-monitor.*--web": r"http://",
-    r"qdgrasp-monitor": "",
     r"qdgrasp view": r"http://",
     r"qdgrasp (run|campaign) .*--workers 0": "listening on",
     r"python examples/own_evaluator\.py": "",
