@@ -8,7 +8,7 @@ import numpy as np
 import typer
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits, settled_mask, settled_poses
+from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits, object_motion, settled_mask, settled_poses
 from qdgrasp_coordinator.metrics.successes import Successes, TrialPlan, all_successes, best_first
 from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.search import source_runs
@@ -198,6 +198,7 @@ def resume(
 
 FINALISTS = 100
 FEW_TRIALS = 10  # Trials by which finalists are chosen
+STILL = 5e-4  # Way of an object in a closing hand, below which it had been at rest [m]
 
 
 @options.spec_flags("base", "engine", "approach_distance", "resting_pose", sets=())
@@ -233,9 +234,9 @@ def rerank(
     """Score the best grasps of a run again, in many disturbed trials each, and rank them by eta.
 
     Taken is the best grasp of each cell, or of each kind that the run told apart, and of these the --top
-    best. Under `physical` a jaw closes from where it settled before, if it holds from there too. The folder
-    is that of a run: `qdgrasp resume` continues it, and workers may join; it can be scored again.
-    ranking.csv in it holds every grasp by eta.
+    best. Under `physical` a jaw closes from where it settled before, if the object rests there and is held.
+    The folder is that of a run: `qdgrasp resume` continues it, and workers may join; it can be scored
+    again. ranking.csv in it holds every grasp by eta.
 
     With two engines a trial is passed that holds in both.
 
@@ -301,7 +302,8 @@ def score_again(
         seats["base_to_object"] = settled_poses(chosen)
         once = source_runs.rerank_spec(source, seats, **asked | {"trials": 1})
         tried = _evaluated(once, prepared, config, "closing from where hands settled")
-        is_seated = settled_mask(chosen) & (tried.rows["outcome"] == Outcome.HELD)
+        is_still = object_motion(tried.rows)[:, 0] < STILL  # others slip on with each closing
+        is_seated = settled_mask(chosen) & is_still & (tried.rows["outcome"] == Outcome.HELD)
         chosen[is_seated] = seats[is_seated]
     if len(chosen) > top:
         few = source_runs.rerank_spec(source, chosen, **asked | {"trials": FEW_TRIALS})
