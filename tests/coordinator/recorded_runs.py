@@ -6,6 +6,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice
@@ -79,3 +80,9 @@ def write_journal(
         for first in range(0, len(rows), block):
             part = rows[first : first + block]
             journal.append(JournalSlice(first, part, cpu_seconds=len(part) / 100), 1, 1.0)
+
+
+def success_mask(rows: Rows) -> NDArray[np.bool_]:
+    """Flag the nominal successes, which archives, coverage and figures count: (n,)."""
+    found: NDArray[np.bool_] = (rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)
+    return found

@@ -126,12 +126,6 @@ def evaluation_mask(rows: Rows, overlaps: Overlaps) -> NDArray[np.bool_]:
     return nominal if overlaps == "count" else nominal & (rows["outcome"] >= Outcome.MISSED)
 
 
-def success_mask(rows: Rows) -> NDArray[np.bool_]:
-    """Flag the nominal successes, which archives, coverage and figures count: (n,)."""
-    found: NDArray[np.bool_] = (rows["trial"] == 0) & (rows["outcome"] >= Outcome.DROPPED)
-    return found
-
-
 class RunCounter:
     """Counts the rows of a journal in its order; outcomes are those of nominal rows.
 

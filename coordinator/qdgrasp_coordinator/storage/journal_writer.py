@@ -14,8 +14,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.journal import (
     Journal,
@@ -27,8 +25,6 @@ from qdgrasp_coordinator.storage.journal import (
 from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.spec import RunSpec, to_toml
-
-SUCCESS = "INSERT INTO successes VALUES (?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?,?)"
 
 TURN = "INSERT OR IGNORE INTO turns VALUES (?, ?, ?)"
 META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
@@ -158,19 +154,7 @@ def insert_rows(database: sqlite3.Connection, part: JournalSlice, epoch: int) ->
     block = (part.first, len(part), epoch, part.cpu_seconds, zlib.crc32(blob), blob)
     errors = [(part.first + failure.row, failure.reason) for failure in part.failures]
     database.execute("INSERT INTO blocks VALUES (?, ?, ?, ?, ?, ?)", block)
-    database.executemany(SUCCESS, _success_columns(part))
     database.executemany("INSERT INTO errors VALUES (?, ?)", errors)
-
-
-def _success_columns(part: JournalSlice) -> list[tuple[float, ...]]:
-    """Return the entries that the table of successes gets for a slice."""
-    at = np.flatnonzero(success_mask(part.rows))
-    rows = part.rows[at]
-    columns = [part.first + at]
-    columns += [rows[name] for name in ("generation", "index", "trial", "outcome", "fitness")]
-    columns += [*rows["base_to_object"].T, *cells(rows["descriptor"][:, :3]).T]
-    columns += [rows[name] for name in ("nu", "contacts", "penetration")]
-    return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 class OpenJournals:

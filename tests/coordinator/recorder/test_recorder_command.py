@@ -68,7 +68,7 @@ def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(endpoint, ro
         coordinator.open()
         coordinator.send(rows, 0, 1000)
         coordinator.hears_durable(1000)
-        limit, most = 200_000, resource.prlimit(process.pid, resource.RLIMIT_FSIZE)[1]
+        limit, most = 100_000, resource.prlimit(process.pid, resource.RLIMIT_FSIZE)[1]
         resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, most))
         for first in range(1000, 6000, 1000):
             coordinator.send(rows, first, first + 1000)

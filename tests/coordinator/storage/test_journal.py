@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_array_equal
 from tests.common import PATIENCE
 from tests.coordinator.recorded_runs import spoil_block
 
-from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.storage import journal as journal_module
 from qdgrasp_coordinator.storage.journal import Journal, JournalIdentity, JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
@@ -84,22 +82,6 @@ def test_the_digest_is_of_rows_and_not_of_blocks_or_costs(tmp_path: Path) -> Non
             digests.add(journal_digest(journal))
     assert len(digests) == 1
     assert all(len(text) == 64 for text in digests)
-
-
-def test_the_table_of_successes_says_what_the_rows_say(tmp_path: Path) -> None:
-    rows = make_rows(300)
-    record(tmp_path, rows, [100, 200])
-    at = np.flatnonzero(rows["outcome"] >= Outcome.DROPPED)
-    with sqlite3.connect(tmp_path / JOURNAL) as database:
-        database.row_factory = sqlite3.Row
-        table = database.execute("SELECT * FROM successes ORDER BY row").fetchall()
-    assert [line["row"] for line in table] == at.tolist()
-    for name in ("generation", "index", "trial", "outcome", "fitness", "nu", "contacts", "penetration"):
-        assert_array_equal([line[name] for line in table], rows[name][at])
-    poses = [[line[name] for name in ("x", "y", "z", "qx", "qy", "qz", "qw")] for line in table]
-    assert_array_equal(np.float32(poses), rows["base_to_object"][at])
-    found = [[line[name] for name in ("cell_x", "cell_y", "cell_z")] for line in table]
-    assert_array_equal(found, cells(rows["descriptor"][at]))
 
 
 def test_rows_that_are_not_the_next_are_refused(tmp_path: Path) -> None:

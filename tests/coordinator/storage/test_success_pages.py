@@ -4,9 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.recorded_runs import random_rows, record, success_mask
 
-from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.metrics.successes import TrialPlan
 from qdgrasp_coordinator.storage import success_pages
 from qdgrasp_coordinator.storage.run_folder import RunFolder

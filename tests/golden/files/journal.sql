@@ -17,17 +17,6 @@ CREATE TABLE blocks (
     rows BLOB NOT NULL         -- rows of the dtype of rows.RowShape: their first bytes, their second bytes,
                                -- and so on, deflated (zlib)
 ) STRICT;
-CREATE TABLE successes (       -- every success ever found, fitness 0 included
-    row INTEGER PRIMARY KEY,
-    generation INTEGER NOT NULL, "index" INTEGER NOT NULL, trial INTEGER NOT NULL,
-    outcome INTEGER NOT NULL, fitness REAL NOT NULL,
-    x REAL NOT NULL, y REAL NOT NULL, z REAL NOT NULL,                        -- base_to_object [m]
-    qx REAL NOT NULL, qy REAL NOT NULL, qz REAL NOT NULL, qw REAL NOT NULL,
-    cell_x INTEGER NOT NULL, cell_y INTEGER NOT NULL, cell_z INTEGER NOT NULL, -- of the descriptor, 1 cm
-    nu REAL NOT NULL, contacts INTEGER NOT NULL, penetration REAL NOT NULL
-) STRICT;
-CREATE INDEX successes_by_cell ON successes (cell_x, cell_y, cell_z, fitness);
-CREATE INDEX successes_by_fitness ON successes (fitness);
 CREATE TABLE errors (row INTEGER PRIMARY KEY, reason TEXT NOT NULL) STRICT;
 -- meta: created
 -- meta: package

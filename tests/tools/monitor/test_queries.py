@@ -7,11 +7,10 @@ from types import SimpleNamespace
 import pytest
 from msgspec import structs
 from tests.coordinator.recorded_campaigns import BUDGET, record_campaign, rows_of
-from tests.coordinator.recorded_runs import random_rows, record_spec, spoil_block, write_journal
+from tests.coordinator.recorded_runs import random_rows, record_spec, spoil_block, success_mask, write_journal
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make_rows, recording
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListings, from_json
-from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.bus import fetch_bundle

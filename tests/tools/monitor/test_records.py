@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.coordinator.recorded_campaigns import record_campaign
-from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.recorded_runs import random_rows, record, success_mask
 from tests.tools.report.test_row_report import run_of_synergies
 
 from qdgrasp_coordinator.metrics.cells import GenomeReader
-from qdgrasp_coordinator.metrics.run_stats import count_rows, success_mask
+from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, QdgraspError, UnknownName
