@@ -198,7 +198,7 @@ def resume(
 
 FINALISTS = 100
 FEW_TRIALS = 10  # Trials by which finalists are chosen
-STILL = 5e-4  # Way of an object in a closing hand, below which it had been at rest [m]
+STILL = 2e-4  # Way of an object in a closing hand, below which it had been at rest [m]
 
 
 @options.spec_flags("base", "engine", "approach_distance", "resting_pose", sets=())
