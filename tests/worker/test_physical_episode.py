@@ -76,7 +76,7 @@ class TestRobustOnPhysical:
         robust = build_scene(
             RunSpec(gripper="panda", object="rubiks_cube", protocol="robust", base="physical")
         )
-        near = np.array([[*ABOVE.position[:2], 0.098, *ABOVE.quaternion]], np.float32)
+        near = np.array([[*ABOVE.position[:2], 0.096, *ABOVE.quaternion]], np.float32)
         trials = np.arange(13)
         genomes = np.repeat(near, len(trials), axis=0)
         rows = evaluated(robust, GIVEN, genomes, trials)

@@ -140,7 +140,7 @@ def test_hands_that_cannot_come_to_their_pose_overlap_as_recorded(make_scene):
 def test_a_hand_that_was_stopped_on_its_way_is_placed_where_it_stopped(make_scene, engine):
     robust = make_scene("panda", "rubiks_cube", "robust")
     scene = msgspec.structs.replace(robust, base="physical", engine=engine)
-    found = record_evaluation(scene, 12, trial=3)
+    found = record_evaluation(scene, 24, trial=3)
     stopped = 0
     for row in found.rows[found.rows["outcome"] >= Outcome.DROPPED]:
         shots = [shot for shot in replayed(scene, row).snapshots if shot.phase == "placed"]

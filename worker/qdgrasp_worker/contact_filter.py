@@ -44,6 +44,7 @@ from qdgrasp_assets.grippers.hand_geometry import (
     hand_geometry,
 )
 from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_worker.contact_margin import HULL_MARGIN
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.pose_filters import ObjectSolid
 
@@ -199,7 +200,6 @@ def gather_balls(balls: Balls, side: float) -> tuple[Balls, NDArray[np.intp], ND
     return Balls(centres, np.maximum.reduceat(reaches, starts)), order, counts
 
 
-MARGIN = 1e-3  # Bullet's collision margin of a hull [m]
 BREAKING = 0.02  # Bullet's contact breaking threshold, in discs
 STRAY = 5e-4  # Deviation of a closing finger from its measured path, free joints at other places [m]
 POSTURES_PER_STEP = 8  # Interpolated postures for each step
@@ -320,4 +320,4 @@ def contact_range(solid: ObjectSolid, sight: float = 0.0) -> float:
     """Distance from an object's surface [m] at which a contact may begin, with a margin."""
     low, high = solid.box
     disc = np.linalg.norm(high - low) / 2 + np.linalg.norm(high + low) / 2
-    return max(float(2 * MARGIN + BREAKING * (disc + MARGIN) + STRAY), sight + STRAY)
+    return max(float(2 * HULL_MARGIN + BREAKING * (disc + HULL_MARGIN) + STRAY), sight + STRAY)

@@ -24,6 +24,7 @@ from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.grippers.urdf import UrdfJoint
 from qdgrasp_assets.scene import Joint, RestingPose, SceneGripper, Vector
 from qdgrasp_protocol.rows import JAW_PRELOAD
+from qdgrasp_worker.contact_margin import HULL_MARGIN
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
 from qdgrasp_worker.evaluation_protocols import DAMPING_RATIO, SLIDING, TURNING, Lift, Physics
@@ -184,7 +185,6 @@ PUSHES = (
 """Directions of the pushes, hand frame."""
 Look = tuple[list[float], Vector, Quaternion]  # Places of joints, position and quaternion of the object
 TABLE_HALF = (0.5, 0.5, 0.05)  # Half sides of a table [m]
-HULL_MARGIN = 1e-3  # Distance from a hull's surface at which both engines meet it; 0 for a box [m]
 
 
 def table_middle(pose: RestingPose, way: float) -> Vector:

@@ -24,7 +24,7 @@ from qdgrasp_protocol.spec import (
 from qdgrasp_worker.engines import ENGINES
 from qdgrasp_worker.evaluator import DEVICE_MODULE, Evaluator, make_evaluator
 
-EVALUATION = 2
+EVALUATION = 3
 """Number of what an evaluation computes; raised when golden digests of rows change on purpose."""
 PROBES = 16
 LEAST_AGREEING = 14  # Probes that have the same outcome on a device as in MuJoCo, at least

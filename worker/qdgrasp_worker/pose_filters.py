@@ -27,6 +27,7 @@ from qdgrasp_assets.grippers.hand_geometry import POINTS_AT_ONCE, STAGES, hand_g
 from qdgrasp_assets.grippers.reachability import HandApproach
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_protocol.rows import Outcome
+from qdgrasp_worker.contact_margin import slim_scene
 from qdgrasp_worker.decoder import DecodedGrasps
 
 
@@ -135,7 +136,7 @@ class PoseFilters:
 
     @cached_property
     def _overlap(self) -> OverlapFilter:
-        return OverlapFilter(self._scene.gripper, self._solid, follows_free_joints=self._follows)
+        return OverlapFilter(slim_scene(self._scene).gripper, self._solid, follows_free_joints=self._follows)
 
     @cached_property
     def _table(self) -> TableFilter:

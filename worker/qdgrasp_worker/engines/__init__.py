@@ -5,6 +5,7 @@ from importlib import import_module
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import AssetError, UnknownName
 from qdgrasp_protocol.spec import DEFAULT_ENGINE, DEVICE_ENGINE, check_engine, engine_names
+from qdgrasp_worker.contact_margin import slim_scene
 from qdgrasp_worker.evaluation_protocols import EvaluationProtocol
 from qdgrasp_worker.physical_episode import PhysicalWorld
 from qdgrasp_worker.world import ShakenWorld
@@ -32,6 +33,7 @@ def make_world(scene: Scene, protocol: EvaluationProtocol, name: str = "") -> Sh
         raise UnknownName("engine", name, ENGINES)
     where, prefix = ENGINES[name]
     module = import_module(where)
+    scene = slim_scene(scene)
     if protocol.physics:
         table = scene.resting_poses[0] if protocol.lift else None
         physical: PhysicalWorld = getattr(module, f"{prefix}PhysicalWorld")(scene, protocol.physics, table)

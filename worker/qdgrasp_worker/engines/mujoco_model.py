@@ -25,7 +25,8 @@ from qdgrasp_assets.grippers.hand_model import followers
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, scene_robot
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_worker.physical_episode import HULL_MARGIN, TABLE_HALF, FingerDrive
+from qdgrasp_worker.contact_margin import HULL_MARGIN
+from qdgrasp_worker.physical_episode import TABLE_HALF, FingerDrive
 
 DETECTION_GAP = 5e-4  # Extra distance at which contacts are found; two shapes add theirs [m]
 LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # For a link that has none in Bullet [kg, kg m2]

@@ -20,12 +20,12 @@ from scipy.spatial.transform import Rotation
 from qdgrasp_assets.geometry.rotation import conjugate, facing, multiply, rotate, unit
 from qdgrasp_assets.grippers.hand_geometry import neighbours
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
+from qdgrasp_worker.contact_margin import HULL_MARGIN
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, SceneModel, reach_of
 from qdgrasp_worker.engines.mujoco_simulation import Simulation
 from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
 from qdgrasp_worker.physical_episode import (
-    HULL_MARGIN,
     FingerControl,
     FingerDrive,
     PhysicalWorld,
