@@ -114,12 +114,7 @@ class Episode(ABC, Generic[AnyWorld]):
             return EpisodeResult(Outcome.BRUSHED if touched else Outcome.MISSED, pose.joints)
         closed = self._closed_grasp(pose, len(fingers))
         survived = self._survived()
-        return closed._replace(outcome=outcome_of(survived, self.disturbances), fitness=survived)
-
-    @property
-    @abstractmethod
-    def disturbances(self) -> int:
-        """Number of disturbances that a grasp meets."""
+        return closed._replace(outcome=outcome_of(survived, self.protocol.disturbances), fitness=survived)
 
     @abstractmethod
     def _close(self, pose: HandPose) -> bool:
@@ -193,11 +188,6 @@ class Episode(ABC, Generic[AnyWorld]):
 @dataclass(frozen=True)
 class ShakenEpisode(Episode[ShakenWorld]):
     """Simulates poses in a world whose hand is shaken."""
-
-    @property
-    def disturbances(self) -> int:
-        """Number of shakes that a grasp meets."""
-        return len(self.protocol.shakes)
 
     def _close(self, pose: HandPose) -> bool:
         """Close the hand; return whether a finger touched the object before the last step."""

@@ -159,6 +159,17 @@ SLIDING = DriveGains(lag=rows.SLIDING_LAG, frequency=220.0, speed=0.1, rest_spee
 TURNING = DriveGains(lag=rows.TURNING_LAG, frequency=55.0, speed=1.0, rest_speed=0.02)
 
 
+PUSHES = (
+    (1.0, 0.0, 0.0),
+    (-1.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0),
+    (0.0, -1.0, 0.0),
+    (0.0, 0.0, 1.0),
+    (0.0, 0.0, -1.0),
+)
+"""Directions of the pushes, hand frame."""
+
+
 @dataclass(frozen=True)
 class Physics:
     """The settings of `physical`."""
@@ -258,6 +269,11 @@ class EvaluationProtocol:
     def trials(self) -> int:
         """Number of trials besides trial 0, the nominal one."""
         return rows.trial_count(self.name) + (rows.HARD_TRIALS if self.hard else 0)
+
+    @property
+    def disturbances(self) -> int:
+        """Number of disturbances that a grasp meets: shakes, pushes or one lift."""
+        return len(self.shakes) or (1 if self.lift else len(PUSHES))
 
     def trial(self, pose: HandPose, number: int) -> TrialSetup:
         """A grasp in one of its trials; 0 is the grasp as it was commanded."""

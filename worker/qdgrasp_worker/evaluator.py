@@ -190,9 +190,8 @@ def verdict_in_all(
     """
     for world in others:
         if verdict.outcome is Outcome.HELD:
-            episode = make_episode(world, protocol)
-            found = episode.run(trial)
-            outcome, steps = outcome_of(found.fitness, episode.disturbances), verdict.steps + found.steps
+            found = make_episode(world, protocol).run(trial)
+            outcome, steps = outcome_of(found.fitness, protocol.disturbances), verdict.steps + found.steps
             verdict = verdict._replace(outcome=outcome, fitness=found.fitness, steps=steps)
     return verdict
 

@@ -27,7 +27,7 @@ from qdgrasp_protocol.rows import JAW_PRELOAD
 from qdgrasp_worker.contact_margin import HULL_MARGIN
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
-from qdgrasp_worker.evaluation_protocols import DAMPING_RATIO, SLIDING, TURNING, Lift, Physics
+from qdgrasp_worker.evaluation_protocols import DAMPING_RATIO, PUSHES, SLIDING, TURNING, Lift, Physics
 from qdgrasp_worker.world import GraspWorld, Quaternion
 
 SLIDING_EFFORT = 70.0  # Force of a sliding joint whose drive is not known, at most: Franka hand [N]
@@ -174,15 +174,6 @@ def target_motion(drive: FingerDrive, place: float) -> tuple[int, float]:
 
 RESTING_LOOKS = 3  # Looks in a row at which all must rest
 REST_SPEED, REST_SPIN = 2e-3, 0.04  # Speeds below which a released object rests [m/s, rad/s]
-PUSHES = (
-    (1.0, 0.0, 0.0),
-    (-1.0, 0.0, 0.0),
-    (0.0, 1.0, 0.0),
-    (0.0, -1.0, 0.0),
-    (0.0, 0.0, 1.0),
-    (0.0, 0.0, -1.0),
-)
-"""Directions of the pushes, hand frame."""
 Look = tuple[list[float], Vector, Quaternion]  # Places of joints, position and quaternion of the object
 TABLE_HALF = (0.5, 0.5, 0.05)  # Half sides of a table [m]
 
@@ -203,11 +194,6 @@ class PhysicalWorld(GraspWorld):
     steps_at_once = 1
     """Number of steps that `step` simulates; divides `Physics.look_every`."""
     _control: FingerControl
-
-    @property
-    def step_seconds(self) -> float:
-        """The time that `step` simulates [s]."""
-        return self.steps_at_once * self.physics.time_step
 
     @abstractmethod
     def release(self) -> None:
@@ -277,11 +263,6 @@ class PhysicalWorld(GraspWorld):
 class PhysicalEpisode(Episode[PhysicalWorld]):
     """Simulates poses in a world of `physical`."""
 
-    @property
-    def disturbances(self) -> int:
-        """Number of pushes that a grasp meets."""
-        return len(PUSHES)
-
     def _close(self, pose: HandPose) -> bool:
         """Close on the fixed object, then release it and let it come to rest."""
         world = self.world
@@ -340,11 +321,6 @@ class LiftEpisode(PhysicalEpisode):
 
     lift: Lift = field(default_factory=Lift)
 
-    @property
-    def disturbances(self) -> int:
-        """Number of lifts."""
-        return 1
-
     def _settle(self) -> None:
         self.world.weigh(1.0)
         self.world.step()
@@ -366,13 +342,9 @@ class LiftEpisode(PhysicalEpisode):
                 now = world.look()
                 resting = resting + 1 if world.rests(before, now) and not is_rising else 0
                 before = now
-                if self._ends_early(resting):
+                if resting >= RESTING_LOOKS and not world.is_on_table():
                     return 1
         return int(not world.is_on_table())
-
-    def _ends_early(self, resting: int) -> bool:
-        """Return whether the object has been at rest for enough looks, and is off the table."""
-        return resting >= RESTING_LOOKS and not self.world.is_on_table()
 
 
 def angle_between(one: Sequence[float], other: Sequence[float]) -> float:

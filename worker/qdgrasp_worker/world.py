@@ -104,6 +104,8 @@ class GraspWorld(ABC):
     """The links, as `contacts` names them, whose contact after closing makes a success."""
     trial: TrialSetup
     """The trial that it was reset for last."""
+    step_seconds = 1 / 240
+    """The time that `step` simulates [s]."""
     steps = 0
     """Number of steps of physics that `step` has simulated."""
 
@@ -161,11 +163,6 @@ class GraspWorld(ABC):
             course.append(self.finger_positions())
         return course
 
-    @property
-    @abstractmethod
-    def step_seconds(self) -> float:
-        """The time that `step` simulates [s]."""
-
     @abstractmethod
     def step(self) -> None:
         """Simulate the next `step_seconds`."""
@@ -208,11 +205,6 @@ class GraspWorld(ABC):
 
 class ShakenWorld(GraspWorld):
     """A world whose hand is on a carrier that shakes it; a step is 1/240 s."""
-
-    @property
-    def step_seconds(self) -> float:
-        """The time that `step` simulates [s]."""
-        return 1 / 240
 
     def close_fingers(self, synergy: int) -> None:
         """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.

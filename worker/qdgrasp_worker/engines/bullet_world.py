@@ -188,7 +188,7 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
     _links_meet = True
 
     def __init__(self, scene: Scene, physics: Physics, table: RestingPose | None = None) -> None:
-        self.physics, self.table = physics, table
+        self.physics, self.table, self.step_seconds = physics, table, physics.time_step
         self._up = table.up if table else STILL
         self._breaking_threshold = physics.breaking_threshold
         super().__init__(scene)

@@ -23,10 +23,9 @@ from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.mujoco_simulation import FREE_DOFS, Simulation
 from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld
 from qdgrasp_worker.episode import EpisodeResult, outcome_of, settled_pose
-from qdgrasp_worker.evaluation_protocols import TrialSetup
+from qdgrasp_worker.evaluation_protocols import PUSHES, TrialSetup
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.physical_episode import (
-    PUSHES,
     REST_SPEED,
     REST_SPIN,
     RESTING_LOOKS,

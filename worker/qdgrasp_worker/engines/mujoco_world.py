@@ -228,6 +228,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         gripper = scene.gripper
         super().__init__(gripper)
         self.physics, self.table, self.steps_at_once = physics, table, physics.look_every
+        self.step_seconds = self.steps_at_once * physics.time_step
         model = SceneModel(scene, physics.time_step, has_table=table is not None)
         opened = {joint.name: joint.opened for joint in gripper.joints}
         reaches = [reach_of(model.robot, model.links, opened, joint) for joint in model.joints]
@@ -322,7 +323,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
 
     def _command(self) -> None:
         """Let the targets move, during the next steps, to their places at the next look."""
-        seconds, data = self.steps_at_once * self.physics.time_step, self._now.data
+        seconds, data = self.step_seconds, self._now.data
         data.act[:] = self._control.targets
         data.ctrl[:] = (np.array(self._control.walk(self.finger_positions(), seconds)) - data.act) / seconds
 

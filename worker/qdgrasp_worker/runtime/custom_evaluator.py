@@ -21,11 +21,19 @@ from numpy.typing import NDArray
 from qdgrasp_assets.scene import Scene, unpack_scene
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import RESULT, Outcome, Rows, disturbance_count, nominal_protocol
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows
 from qdgrasp_worker.decoder import DecodedGrasps
-from qdgrasp_worker.evaluator import REASON_LENGTH, ROWS_AT_ONCE, BatchEvaluator, Evaluation, row_refusals
+from qdgrasp_worker.episode import EpisodeResult
+from qdgrasp_worker.evaluator import (
+    REASON_LENGTH,
+    ROWS_AT_ONCE,
+    BatchEvaluator,
+    Evaluation,
+    fill_rows,
+    row_refusals,
+)
 from qdgrasp_worker.platform import EVALUATION
-from qdgrasp_worker.pose_filters import TableFilter
+from qdgrasp_worker.pose_filters import ObjectSolid, PoseFilters
 from qdgrasp_worker.runtime.evaluator_api import EvaluatorFactory, EvaluatorFn, Hands
 from qdgrasp_worker.runtime.simulator_main import main as serve
 
@@ -38,8 +46,7 @@ class CustomEvaluator(BatchEvaluator):
     def __init__(self, scene: Scene, make: EvaluatorFactory) -> None:
         super().__init__(scene)
         self._judge: EvaluatorFn = make(scene)
-        self._table = TableFilter(scene)
-        self._disturbances = disturbance_count(nominal_protocol(scene.protocol, scene.base))
+        self._filters = PoseFilters(scene, ObjectSolid(scene), follows_free_joints=True, shortcuts=False)
         self.at_once = max(1, int(getattr(self._judge, "at_once", ROWS_AT_ONCE)))
 
     def close(self) -> None:
@@ -52,11 +59,10 @@ class CustomEvaluator(BatchEvaluator):
         rows["genome"], rows["trial"] = genomes, trials
         failures = row_refusals(genomes, trials, grasps, self._protocol.trials)
         wanted = np.isin(np.arange(len(rows)), [place for place, _ in failures], invert=True)
-        _fill_poses(rows, grasps, wanted)
-        asked = np.flatnonzero(wanted & ~grasps.dead_ends)
-        refused = self._table(grasps, asked[trials[asked] == 0])
-        rows["outcome"][refused] = Outcome.OVERLAP
-        asked = np.setdiff1d(asked, refused)
+        known = self._filters(grasps, trials, wanted)
+        posed = {place: known.get(place, Outcome.MISSED) for place in np.flatnonzero(wanted).tolist()}
+        fill_rows(rows, grasps, {i: EpisodeResult(outcome, grasps[i].joints) for i, outcome in posed.items()})
+        asked = np.array([place for place in posed if place not in known], dtype=np.intp)
         if len(asked):
             failures += self._judged(rows, self._hands(prior, genomes, trials, grasps, asked), asked)
         return Evaluation(rows, sorted(failures))
@@ -86,7 +92,7 @@ class CustomEvaluator(BatchEvaluator):
     def _judged(self, rows: Rows, hands: Hands, places: NDArray[np.intp]) -> Failures:
         """Fill the rows at these places with verdicts; where that fails, one by one."""
         try:
-            columns = self._judge(hands).columns(hands, self._disturbances)
+            columns = self._judge(hands).columns(hands, self._protocol.disturbances)
         except Exception as error:  # noqa: BLE001  # any failure is these rows' result and no other's
             if len(places) > 1:
                 alone = (slice(i, i + 1) for i in range(len(places)))
@@ -97,19 +103,6 @@ class CustomEvaluator(BatchEvaluator):
         for name, values in columns.items():
             rows[name][places] = values
         return []
-
-
-def _fill_poses(rows: Rows, grasps: DecodedGrasps, is_posed: NDArray[np.bool_]) -> None:
-    rows["outcome"][is_posed] = Outcome.DEAD_END
-    columns = {
-        "base_to_object": np.concatenate([grasps.positions, grasps.quaternions], axis=1),
-        "descriptor": grasps.positions,
-        "joints": grasps.joints,
-        "surface_point": grasps.surface_points,
-        "nu": grasps.nu,
-    }
-    for name, values in columns.items():
-        rows[name][is_posed] = values[is_posed]
 
 
 def load_evaluator(what: str) -> tuple[EvaluatorFactory, Path]:
