@@ -106,17 +106,13 @@ class Evaluator(BatchEvaluator):
     def _contact_filter(self) -> ContactFilter | None:
         if not self._shortcuts:
             return None
-        follows = self._protocol.free_joints_first
         return ContactFilter(
             self.scene.gripper,
             self._object,
-            self._closing,
-            follows_free_joints=follows,
+            lambda posture, synergy: self._worlds[0].closing(posture, synergy),
+            follows_free_joints=self._protocol.free_joints_first,
             sight=self._worlds[0].sight,
         )
-
-    def _closing(self, posture: Sequence[float], synergy: int) -> list[list[float]]:
-        return self._worlds[0].closing(posture, synergy)
 
     def _make_worlds(self) -> list[ShakenWorld | PhysicalWorld]:
         with ExitStack() as undo:

@@ -342,9 +342,13 @@ class LiftEpisode(PhysicalEpisode):
                 now = world.look()
                 resting = resting + 1 if world.rests(before, now) and not is_rising else 0
                 before = now
-                if resting >= RESTING_LOOKS and not world.is_on_table():
+                if self._ends_early(resting):
                     return 1
         return int(not world.is_on_table())
+
+    def _ends_early(self, resting: int) -> bool:
+        """Return whether the object has been at rest for enough looks, and is off the table."""
+        return resting >= RESTING_LOOKS and not self.world.is_on_table()
 
 
 def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
