@@ -41,6 +41,7 @@ in order. Other hands keep their root link and order.
 ASSETS, DATA, ABOUT = "assets", "graspdata", "qdgrasp.json"
 FOLDERS = {ASSETS, DATA, ABOUT}
 WXYZ = [0, 1, 2, 6, 3, 4, 5]  # Places in a pose, xyz and xyzw, of one with the quaternion as w, x, y, z
+PRESS = 0.4  # Of a drive's greatest lead, where several fingers rest on an object, measured in MuJoCo
 NEAR = 0.1  # Most that fingers are open before a grasp, from which they arrive together [rad or m]
 PADS = 0.009  # Distance of the middle of a fingertip's pad from its end, as of Franka's own TCP [m]
 
@@ -53,10 +54,11 @@ def write_dexgraspbench(path: Path, table: RunTable) -> None:
         pose, joint_order = NO_TURN, names
     root, order = to_matrices(np.array([pose])), [names.index(name) for name in joint_order]
     opened = table.joints - np.clip(table.joints - table.pregrasp, -NEAR, NEAR)
+    squeeze = table.joints + (1 if table.scene.gripper.jaw else PRESS) * (table.squeeze - table.joints)
     kinds = {
         "pregrasp_qpos": (table.grasp_poses, opened),
         "grasp_qpos": (table.grasp_poses, table.joints),
-        "squeeze_qpos": (table.grasp_poses, table.squeeze),
+        "squeeze_qpos": (table.grasp_poses, squeeze),
     }
     qpos = {
         kind: np.hstack([from_matrices(to_matrices(poses) @ root)[:, WXYZ], joints[:, order]])

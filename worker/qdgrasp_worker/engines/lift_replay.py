@@ -36,7 +36,7 @@ def lifts(model: Any, grasp: dict[str, Any], speeds: Any, *, floats: bool = Fals
         (REST, 1, 0),
     ):
         model.opt.gravity[:] = 0, 0, -9.81 * gravity
-        model.dof_armature[-6:] = 0 if gravity or floats else 1000  # of the object
+        model.dof_damping[-6:] = 0 if gravity or floats else 1e5  # of the object
         for _ in range(round(seconds / model.opt.timestep)):
             data.ctrl += np.clip(grasp["closed"] - data.ctrl, -way, way)
             data.qvel[0] = velocity  # of the hand
