@@ -98,27 +98,26 @@ class CellGrid:
 
 
 class Explored:
-    """Niches or grips: the tries in each, and those that held."""
+    """Niches or grips: the tries in each, those that held, and those that found a contact niche."""
 
     def __init__(self) -> None:
-        self._held: Counter[int] = Counter()
-        self._tries: Counter[int] = Counter()
+        self._held, self._tries = Counter[int](), Counter[int]()
+        self.found = Counter[int]()
 
     def is_open(self, keys: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Flag those of `keys` (n,) that are open, at their first occurrence: (n,)."""
         return self._flags(keys, lambda key: key not in self._held and self._tries[key] < MOST_TRIES)
 
-    def is_new(self, keys: NDArray[np.integer]) -> NDArray[np.bool_]:
-        """Flag those of `keys` (n,) in which no grasp holds, at their first occurrence: (n,)."""
-        return self._flags(keys, lambda key: key not in self._held)
+    def chances(self, keys: NDArray[np.integer]) -> tuple[Floats, Floats]:
+        """Return the shares (n,) of tries expected to hold, and to find a contact niche.
 
-    def chances(self, keys: NDArray[np.integer]) -> Floats:
-        """Return the share of tries that may be expected to hold: (n,)."""
+        What was not tried is expected to hold as the average does, and all that holds there to be new.
+        """
         average = max(self._held.total(), 1) / max(self._tries.total(), 50)
-        counts = np.array([(self._held[key], self._tries[key]) for key in keys.tolist()], np.float64)
-        held, tries = counts.reshape(-1, 2).T
-        chances: Floats = (held + GUESSED_TRIES * average) / (tries + GUESSED_TRIES)
-        return chances
+        counts = [(self._held[key], self.found[key], self._tries[key]) for key in keys.tolist()]
+        held, found, tries = np.array(counts, np.float64).reshape(-1, 3).T
+        guessed = GUESSED_TRIES * average
+        return (held + guessed) / (tries + GUESSED_TRIES), (found + guessed) / (tries + GUESSED_TRIES)
 
     def count_tries(self, keys: NDArray[np.integer]) -> None:
         """Count a try in each of `keys` (n,)."""
@@ -126,9 +125,9 @@ class Explored:
 
     def hold(self, keys: NDArray[np.integer]) -> NDArray[np.bool_]:
         """Record grasps that hold; flag those (n,) that are the first of their key."""
-        found = self.is_new(keys)
+        is_first = self._flags(keys, lambda key: key not in self._held)
         self._held.update(keys.tolist())
-        return found
+        return is_first
 
     def __len__(self) -> int:
         """Return the number of those that hold a grasp."""
@@ -183,7 +182,7 @@ class GraspMap:
     def expected_gains(self, proposals: Proposals) -> Floats:
         """Return the gain (n,) that open cells may be expected to bring, by how grips did."""
         _, _, grips = self._keys(proposals)
-        return self.grips.chances(grips) * self._gains(np.ones(len(grips)), self.grips.is_new(grips))
+        return self._gains(*self.grips.chances(grips))
 
     def worth_many_tries(self, places: Places) -> NDArray[np.bool_]:
         """Flag the cells (n,) beside one that holds that were tried less than `MANY_TRIES` times."""
@@ -213,7 +212,9 @@ class GraspMap:
         is_new_niche, touches = self.niches.hold(niches), contact_niches(held)
         self.grips.hold(grips)
         is_new = is_new_niche if self._by == "orientation" else is_new_cell
-        gains[places] = self._gains(is_new, self.contacts.hold(touches) & (touches > 0))
+        is_new_contact = self.contacts.hold(touches) & (touches > 0)
+        self.grips.found.update(grips[is_new_contact].tolist())
+        gains[places] = self._gains(is_new, is_new_contact)
         self._offer(held)
         return gains
 
