@@ -120,8 +120,17 @@ class TestWorthATry:
         grips = Explored()
         grips.count_tries(np.array([1, 1, 2, 2]))
         grips.hold(np.array([1]))
-        held, failed, unknown = grips.chances(np.array([1, 2, 3]))
+        (held, failed, unknown), _ = grips.chances(np.array([1, 2, 3]))
         assert 1.0 > held > unknown > failed > 0.0
+
+    def test_a_grip_whose_grasps_found_nothing_new_promises_less_of_it_than_one_unknown(self) -> None:
+        grips = Explored()
+        grips.count_tries(np.array([1, 1, 1, 1]))
+        grips.hold(np.array([1, 1, 1, 1]))
+        grips.found[1] += 1
+        (known, unknown), (known_finds, unknown_finds) = grips.chances(np.array([1, 2]))
+        assert known > unknown
+        assert known_finds < unknown_finds
 
 
 class TestBandit:
