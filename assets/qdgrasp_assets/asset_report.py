@@ -16,9 +16,7 @@ from msgspec import Struct
 from qdgrasp_assets import catalog
 from qdgrasp_assets.geometry.collision_parts import (
     FingerClearance,
-    Tell,
     collision_parts,
-    ignore_progress,
 )
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import scale_in_words
@@ -64,8 +62,6 @@ class AssetReport(Struct, frozen=True, kw_only=True):
 WATER = 1000.0  # Density of water [kg/m3]
 LIGHTEST, HEAVIEST = 20.0, 12_000.0  # Plausible densities of an object: foam to lead [kg/m3]
 ROUNDING = 1e-9
-MANY_TRIANGLES = 100_000
-"""Triangles above which decomposition takes minutes; half as many take 14 s of one core."""
 
 
 class ConvexPartsReport(Struct, frozen=True, kw_only=True):
@@ -147,13 +143,12 @@ def inspect_object(
     mass: float | None = None,
     glued: bool = False,
     parts: bool = True,
-    tell: Tell = ignore_progress,
 ) -> ObjectReport:
     """Inspect a mesh file before a run is made of it.
 
     `name` is the object's in the result, `scale` metres to a unit of the file (None: 1), `mass` in kg (None:
     unknown). With `glued`, bodies that are apart are meant to be one rigid object. With `parts` its convex
-    parts are found (see `tell`), which takes minutes where they are not kept already.
+    parts are found.
     """
     mesh, volumes = draft.mesh, body_volumes(draft.mesh)
     hollows = 0 if draft.faults else int((volumes < 0).sum())
@@ -189,10 +184,7 @@ def inspect_object(
         return msgspec.structs.replace(found, notes=(), faults=faults)
     if not parts:
         return found
-    try:
-        source, convex = collision_parts(mesh, name, tell)
-    except AssetError as error:
-        return msgspec.structs.replace(found, faults=(str(error).rstrip("."),))
+    source, convex = collision_parts(mesh)
     fit = FingerClearance(mesh).fit(convex)
     fitted = ConvexPartsReport(count=len(convex), source=source, filled=fit.filled, bare=fit.bare)
     return msgspec.structs.replace(found, convex=fitted)
@@ -214,8 +206,6 @@ def _solid_notes(found: ObjectReport, mesh: Mesh, density: float | None) -> Iter
             "such room counts twice in volume and centre of mass, and is aimed at; unite the bodies"
         )
     yield from resolution_notes(mesh.extents, thin_share(mesh))
-    if found.triangles > MANY_TRIANGLES:
-        yield f"{found.triangles} triangles: convex parts may take minutes; 20 000 show a finger as much"
     if density is None:
         yield f"a run needs its mass (--mass); of water it would be {WATER * mesh.volume:.3g} kg"
     elif not LIGHTEST <= density <= HEAVIEST:

@@ -6,15 +6,16 @@ process without arrays can state the version of its machine.
 
 import hashlib
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
 MODULES = (
     *("geometry.mesh", "geometry.mesh_io", "geometry.mesh_repair", "geometry.proximity"),
-    *("geometry.surface_points", "geometry.collision_parts", "object_model", "object_shape"),
+    *("geometry.surface_points", "geometry.collision_parts", "geometry.convex_cuts"),
+    *("geometry.rotation", "object_model", "object_shape"),
 )
-PACKAGES = ("coacd", "embreex", "fast-simplification", "numpy", "scipy", "trimesh")
+PACKAGES = ("embreex", "fast-simplification", "numpy", "scipy", "trimesh")
 
 
 @cache
@@ -22,14 +23,9 @@ def building_code() -> str:
     """Return the digest of the code that checks meshes and builds shapes, and of its packages."""
     specs = [find_spec(f"{__package__}.{name}") for name in MODULES]
     files = [file_digest(Path(spec.origin)) for spec in specs if spec and spec.origin]
-    return hashlib.sha256(" ".join((*files, *map(_package_version, PACKAGES))).encode()).hexdigest()
-
-
-def _package_version(name: str) -> str:
-    try:
-        return f"{name} {version(name)}"
-    except PackageNotFoundError:
-        return f"{name} absent"
+    return hashlib.sha256(
+        " ".join((*files, *(f"{name} {version(name)}" for name in PACKAGES))).encode()
+    ).hexdigest()
 
 
 def file_digest(path: Path) -> str:

@@ -16,7 +16,7 @@ from msgspec import Struct
 
 from qdgrasp_assets.asset_paths import cache_folder, named_path, write_whole
 from qdgrasp_assets.code_version import building_code, file_digest
-from qdgrasp_assets.geometry.collision_parts import Tell, collision_parts
+from qdgrasp_assets.geometry.collision_parts import collision_parts
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import (
     check_file,
@@ -175,15 +175,13 @@ class ObjectModel(ObjectGeometry, ObjectFacts):
     """An object with its geometry in the frame of its mesh file."""
 
 
-def geometry_of(draft: ObjectDraft, name: str, tell: Tell) -> ObjectGeometry:
+def geometry_of(draft: ObjectDraft) -> ObjectGeometry:
     """Return the geometry of a draft without faults, with its convex parts.
 
     Its CoM is that of the enclosed volume; its parts serve `released` too, as the collision mesh that normals
-    come from. It is called `name` in messages. `tell` is called with a sentence before each slow step.
-    Errors of `collision_parts`.
+    come from.
     """
-    tell(f"looking whether the hull of {name} will do")
-    source, parts = collision_parts(draft.mesh, name, tell)
+    source, parts = collision_parts(draft.mesh)
     return ObjectGeometry(
         collision_source=source,
         mesh=draft.mesh,

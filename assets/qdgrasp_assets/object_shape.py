@@ -26,7 +26,7 @@ from qdgrasp_assets.geometry.collision_parts import (
     Tell,
     ignore_progress,
 )
-from qdgrasp_assets.geometry.mesh import Floats, parse_parts, parts_to_obj
+from qdgrasp_assets.geometry.mesh import parse_parts, parts_to_obj
 from qdgrasp_assets.geometry.mesh_io import check_file, linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
@@ -38,7 +38,7 @@ from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.errors import AssetError, MessageError, QdgraspError
 from qdgrasp_protocol.messages import MAX_REASON, unpack_values
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_protocol.text import counted, printable
+from qdgrasp_protocol.text import printable
 
 Share = Annotated[float, Meta(ge=0, le=1)]
 Words = Annotated[str, Meta(max_length=1000)]
@@ -79,15 +79,17 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     @property
     def warning(self) -> str:
         """Warning about its convex parts and fine walls, in words; empty where nothing is said."""
-        notes = resolution_notes(_extents(self), self.thin)
-        return "; ".join((*self._parts_notes(), *notes))
+        return "; ".join(self.notes)
 
-    def _parts_notes(self) -> Iterator[str]:
+    @property
+    def notes(self) -> Iterator[str]:
+        """What is said of its convex parts and fine walls."""
         if not PartsFit(self.filled, self.bare).is_good:
             yield (
                 f"its convex parts fill the room in front of {100 * self.filled:.0f} % of its surface, and "
                 f"leave {100 * self.bare:.0f} % of it out, where grasps may be lost"
             )
+        yield from resolution_notes(np.subtract(self.object_high, self.object_low), self.thin)
 
 
 MAX_SHAPE = 32 << 20
@@ -188,11 +190,6 @@ def shape_of(
     )
 
 
-def _extents(shape: ObjectShape) -> Floats:
-    """Return the sides (3,) [m] of a shape's bounding box."""
-    return np.subtract(shape.object_high, shape.object_low)
-
-
 MOST_NAME_BYTES = 200  # Longest name of a file that travels
 
 
@@ -247,34 +244,29 @@ def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
         if file_digest(folder / file.name) != file.sha256:
             raise AssetError(f"The file '{file.name}' is not the one that the shape is to be built of.")
     path = folder / task.files[0].name
-    return _judged_shape(solid_draft(path, task.scale, task.mesh), path.name, task.surface, task.surface_seed)
+    return _judged_shape(solid_draft(path, task.scale, task.mesh), task.surface, task.surface_seed)
 
 
-def _judged_shape(
-    draft: ObjectDraft, name: str, protocol: str, seed: int, tell: Tell = ignore_progress
-) -> ObjectShape:
+def _judged_shape(draft: ObjectDraft, protocol: str, seed: int) -> ObjectShape:
     """Return the shape of a draft without faults, with the fit of its parts."""
-    body = geometry_of(draft, name, tell)
-    tell(f"comparing {counted(len(body.parts), 'convex part')} with the surface of {name}")
+    body = geometry_of(draft)
     fit, thin = FingerClearance(body.mesh).fit(body.parts), thin_share(body.mesh)
-    tell(f"drawing surface points of {name}")
     return shape_of(body, protocol, seed, fit, thin)
 
 
 def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
     """Return the shape of a spec's mesh file, from the store, or built here and put there.
 
-    `tell` is called with a sentence before each slow step. Errors are those of `solid_draft`.
+    `tell` is called with a sentence before it is built. Errors are those of `solid_draft`.
     """
     path, store, task = named_path(spec.object), ShapeStore(), shape_task(spec)
     if task and (known := store.get(task.key)):
-        warn_of_mesh(path, known.repairs, resolution_notes(_extents(known), known.thin))
+        warn_of_mesh(path, known.repairs, known.notes)
         return known
-    tell(f"reading the mesh {path.name}")
+    tell(f"building the shape of {path.name}")
     draft = solid_draft(path, spec.scale, spec.mesh)
-    warn_of_mesh(path, draft.repairs)
-    shape = _judged_shape(draft, path.name, spec.protocol, spec.surface_seed, tell)
-    warn_of_mesh(path, (), resolution_notes(_extents(shape), shape.thin))
+    shape = _judged_shape(draft, spec.protocol, spec.surface_seed)
+    warn_of_mesh(path, shape.repairs, shape.notes)
     if task:
         store.put(task.key, pack_shape(shape))
     return shape

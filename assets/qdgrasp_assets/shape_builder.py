@@ -1,20 +1,16 @@
-"""The process that builds the shape of an object, within limits of time and memory.
+"""The process that builds the shape of an object, within a limit of memory.
 
 Started as `python -m qdgrasp_assets.shape_builder TASK FOLDER OUT`, with a task as MessagePack, the folder
 of its files, and the file to write: the packed shape, whole or not at all. It ends with 2 and a sentence on
 standard error where no object can be made of the files, with 1 and a sentence where that may differ on
-another machine, and with the process that started it. A starter that needs its time bounded by the clock
-kills it; CoACD, which it starts, ends with it.
+another machine, and with the process that started it. A starter that needs its time bounded kills it.
 """
 
 import logging
 import os
-import resource
-import signal
 import sys
 import warnings
 from pathlib import Path
-from types import FrameType
 
 import msgspec
 
@@ -24,8 +20,8 @@ from qdgrasp_assets.process_limits import end_with_parent_only, limit_memory
 from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.errors import AssetError, QdgraspError, UnreadableHere
 
-MOST_MEMORY = 4_000_000_000  # Memory that it may have [bytes], and CoACD as much again
-PREPARING_SECONDS = 600  # CPU seconds that all but the convex parts may take; a minute is long
+MOST_MEMORY = 4_000_000_000  # Memory that it may have [bytes]
+SIMPLIFY = "simplify it, for example with --mesh simplify=20000"
 UNUSABLE, FAILED = 2, 1
 """Exit codes where no object can be made of the files, and where it cannot be made on this machine."""
 
@@ -47,9 +43,6 @@ def main() -> int:
     warnings.simplefilter("ignore")
     task_file, folder, out = map(Path, sys.argv[1:])
     task = msgspec.msgpack.decode(task_file.read_bytes(), type=ShapeTask)
-    signal.signal(signal.SIGXCPU, _end_out_of_time)
-    _, most = resource.getrlimit(resource.RLIMIT_CPU)
-    resource.setrlimit(resource.RLIMIT_CPU, (PREPARING_SECONDS, most))
     is_limit_of_task = limit_memory(MOST_MEMORY)
     try:
         payload = build(task, folder)
@@ -59,22 +52,11 @@ def main() -> int:
         # readers of meshes name it in an error of their own
         if isinstance(error, MemoryError) or MemoryError.__name__ in sentence:
             means = f"{MOST_MEMORY / 1e9:.1f} GB of memory" if is_limit_of_task else "this worker's memory"
-            is_final, sentence = is_limit_of_task, _too_large(means)
+            is_final, sentence = is_limit_of_task, f"The mesh takes more than {means}; {SIMPLIFY}."
         sys.stderr.write(f"{sentence.replace(f'{folder}{os.sep}', '')}\n")
         return UNUSABLE if is_final else FAILED
     write_whole(out, payload)
     return 0
-
-
-def _end_out_of_time(_number: int, _frame: FrameType | None) -> None:
-    """End this process with a sentence, at any point."""
-    sys.stderr.write(f"{_too_large(f'{PREPARING_SECONDS} s')}\n")
-    sys.stderr.flush()
-    os._exit(UNUSABLE)
-
-
-def _too_large(means: str) -> str:
-    return f"The mesh takes more than {means}; simplify it, for example with --mesh simplify=20000."
 
 
 if __name__ == "__main__":

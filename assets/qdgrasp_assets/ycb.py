@@ -137,7 +137,7 @@ def read_scan(name: str, protocol: str) -> ObjectModel:
         same = STAND_INS[name.removeprefix(PREFIX)]
         source, mass, com = "fetched", same.mass, same.com
         mesh = correct_mesh(read_mesh_file(fetched_mesh(name)).mesh, SCANS[name])
-        collision_source, parts = collision_parts(mesh, name)
+        collision_source, parts = collision_parts(mesh)
     return ObjectModel(
         name=name,
         source=source,

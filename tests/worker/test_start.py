@@ -15,7 +15,7 @@ EVALUATE = (
 )
 """All that comes before a worker asks to join: its simulator's imports, and the probes."""
 SIMULATION = {"mujoco", "numpy", "scipy"} | ({"pybullet"} if has_bullet() else set())
-HEAVY = {"coacd", "embreex", "matplotlib", "numba", "PIL", "ribs", "sklearn", "trimesh"}
+HEAVY = {"embreex", "matplotlib", "numba", "PIL", "ribs", "sklearn", "trimesh"}
 """Modules of others: meshes, pictures, searches; each takes a tenth of a second or more."""
 
 

@@ -29,7 +29,6 @@ from qdgrasp_assets.geometry.mesh import (
     stl_triangles,
     unreadable_as,
 )
-from qdgrasp_assets.geometry.mesh_repair import simplify_mesh
 from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.draft import CENTRE, DraftOverrides, draft_axis, draft_closing
 from qdgrasp_assets.gripper_setup.posture_checks import BESIDE
@@ -101,10 +100,7 @@ def is_solid(corners: Floats) -> bool:
     return bool(len(corners) and np.linalg.matrix_rank(corners - corners[0], tol=1e-7) == 3)
 
 
-THRESHOLDS = (0.2, 0.1, 0.05)
-"""Concavities for CoACD, in the order tried: the first whose parts leave the room is taken."""
 MILLIMETRES = 0.001
-FEW_TRIANGLES = 4000  # Most triangles of a mesh that is split: a denser one is simplified first
 
 
 class MeshSplitter:
@@ -152,7 +148,7 @@ class MeshSplitter:
         return file, " and ".join([*words, *([change] if change else [])])
 
     def _parts(self, link: str, name: str, element: ET.Element, mesh: Mesh) -> tuple[tuple[Mesh, ...], str]:
-        """Return the fewest parts that leave the free space, else the finest, and the change."""
+        """Return parts that leave the free space, and the change."""
         own = tuple(map(simplify_part, own_hulls(self._hand, element, mesh)))
         if not own:
             raise AssetError(f"The mesh '{name}' is flat: it encloses no volume; give it a thickness.")
@@ -164,16 +160,11 @@ class MeshSplitter:
             is_read = kind in SIMULATOR_FORMATS and not is_text
             return own, "" if is_read else "was made a convex hull, as the simulator reads no such file"
         self._tell(f"splitting the mesh '{name}' of the link '{link}' into convex parts")
-        percent = f"{100 * filled:.0f} %"
-        thin = simplify_mesh(mesh, FEW_TRIANGLES) if len(mesh.faces) > FEW_TRIANGLES else mesh
-        for threshold in THRESHOLDS:
-            found = decompose(thin, name, threshold)
-            left = clearance.fit(found).filled
-            if left <= MUCH_FILLED:
-                break
+        found = decompose(mesh, clearance, MUCH_FILLED / 2)
+        left = clearance.fit(found).filled
         return found, (
-            f"was split into {len(found)} convex parts: its hull would fill the room before {percent} of its "
-            f"surface, they fill {100 * left:.0f} %"
+            f"was split into {len(found)} convex parts: its hull would fill the room before "
+            f"{100 * filled:.0f} % of its surface, they fill {100 * left:.0f} %"
         )
 
 
@@ -222,8 +213,7 @@ def repair(robot: Urdf, base: str, folder: str, tell: Tell) -> RepairedHand:
     """Repair the hand from link `base` on, of a URDF whose links and joints are one tree.
 
     Meshes will lie in `folder`, relative to the URDF that will be written. `tell` is called with a sentence
-    before each slow step. Raises `AssetError` if a mesh is missing or
-    cannot be read, or CoACD failed.
+    before each slow step. Raises `AssetError` if a mesh is missing or cannot be read.
     """
     hand = replace(robot, element=robot.subtree(base).element)
     splitter = MeshSplitter(hand, folder, tell)

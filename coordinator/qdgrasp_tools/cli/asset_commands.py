@@ -6,7 +6,6 @@ Also how these and `qdgrasp gripper` print what a check found, and where they dr
 import json
 import shlex
 from collections.abc import Iterator
-from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -173,9 +172,7 @@ def check_object(
     fill_holes: Annotated[
         bool, typer.Option("--fill-holes", help="Fill holes up to a fifth of the object's size.")
     ] = False,
-    no_parts: Annotated[
-        bool, typer.Option("--no-parts", help="Do not look for convex parts, which may take minutes.")
-    ] = False,
+    no_parts: Annotated[bool, typer.Option("--no-parts", help="Do not look for convex parts.")] = False,
     as_json: options.Json = False,
 ) -> None:
     """Say what an object of your own is, what was repaired, and what is wrong with it.
@@ -197,17 +194,7 @@ def check_object(
     prepared = options.preparation(mesh)
     glued = prepared is not None and prepared.glued
     draft = read_draft(path, metres, prepared, fill_holes=fill_holes)
-    with nullcontext(ignore_progress) if as_json else progress_messages() as tell:
-        tell("looking at its surface")
-        found = inspect_object(
-            draft,
-            file,
-            scale=metres,
-            mass=mass,
-            glued=glued,
-            parts=not no_parts,
-            tell=tell,
-        )
+    found = inspect_object(draft, file, scale=metres, mass=mass, glued=glued, parts=not no_parts)
     print_findings(found, as_json=as_json)
     for line in _made(found, draft, path, picture, writing):
         echo(line, err=as_json)

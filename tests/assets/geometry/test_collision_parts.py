@@ -1,32 +1,23 @@
 """The rule by which convex parts are chosen."""
 
-import logging
+import hashlib
+import time
 
 import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_assets.geometry import collision_parts as module
 from qdgrasp_assets.geometry.collision_parts import (
-    COACD_THRESHOLDS,
     CORNER_TOLERANCE,
     MOST_CORNERS,
     FingerClearance,
     collision_parts,
-    known_parts,
     simplify_part,
 )
-from qdgrasp_assets.geometry.mesh import Mesh, box, geodesic, heights, hull
+from qdgrasp_assets.geometry.mesh import Mesh, box, geodesic, heights, join, parts_to_obj
 from qdgrasp_assets.stand_ins import stand_in
-from qdgrasp_protocol.errors import AssetError, UnreadableHere
 
 CORNERS = [(0, 0), (0.06, 0), (0.06, 0.02), (0.02, 0.02), (0.02, 0.06), (0, 0.06)]
-LIMITED = """
-from qdgrasp_assets.geometry import collision_parts
-collision_parts.COACD_SECONDS = 1
-collision_parts.main()
-"""
-"""The process of CoACD with little time."""
 CAPS = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
 
 
@@ -40,83 +31,43 @@ def angle() -> Mesh:
     return Mesh(np.array(low + high), np.array(sides + caps))
 
 
-def convex_parts(mesh, name):
-    return collision_parts(mesh, name)[1]
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
-    return tmp_path / "cache"
-
-
-def test_a_convex_mesh_is_its_own_part_and_needs_no_cache(cache):
-    (part,) = convex_parts(box((0.1, 0.2, 0.3)), "block")
+def test_a_convex_mesh_is_its_own_part():
+    source, (part,) = collision_parts(box((0.1, 0.2, 0.3)))
+    assert source == "own hull"
     assert part.volume == pytest.approx(0.006)
-    assert not cache.exists()
 
 
-@pytest.fixture
-def found(monkeypatch):
-    """Results of CoACD by its threshold."""
-    answers: dict[float, tuple[Mesh, ...]] = {}
-
-    monkeypatch.setattr(module, "decompose", lambda _mesh, _name, threshold: answers[threshold])
-    return answers
+def test_a_mesh_that_is_not_convex_is_cut_where_its_faces_meet(angle):
+    source, parts = collision_parts(angle)
+    assert source == "cuts"
+    assert [len(part.vertices) for part in parts] == [8, 8]
+    assert sum(part.volume for part in parts) == pytest.approx(angle.volume)
 
 
-def test_a_mesh_that_is_not_convex_is_decomposed_once(angle, cache, caplog, monkeypatch):
-    assert known_parts(angle) is None
-    with caplog.at_level(logging.WARNING):
-        parts = convex_parts(angle, "angle.stl")
-    assert "Decomposing 'angle.stl' (20 triangles)" in caplog.text
-    assert len(parts) >= 2
-    assert sum(part.volume for part in parts) == pytest.approx(angle.volume, rel=0.05)
-    for part in parts:
-        assert part.volume > 0
-    assert [file.suffix for file in (cache / "convex").iterdir()] == [".obj"]
-    monkeypatch.setattr(module, "decompose", None)
-    again = convex_parts(angle, "angle.stl")
-    assert all((a.vertices == b.vertices).all() for a, b in zip(parts, again, strict=True))
+def test_convex_bodies_are_parts_as_they_are():
+    blocks = [box((0.03, 0.01, 0.01)), box((0.01, 0.01, 0.04)).moved((0, 0, 0.02))]
+    _, parts = collision_parts(join(blocks))
+    assert sorted(part.volume for part in parts) == pytest.approx([3e-6, 4e-6])
 
 
-@pytest.mark.slow
 def test_a_mug_keeps_its_hollow_and_the_eye_of_its_handle():
     surface, own = mug()
-    parts = convex_parts(surface, "mug")
+    _, parts = collision_parts(surface)
     assert FingerClearance(surface).fit(parts).is_good
     assert len(parts) < len(own) < 64
     low, high = surface.bounds
     hollow, eye = (0, 0, high[2] - 0.01), (high[0] - 0.016, 0, (low[2] + high[2]) / 2)
     for point in np.array([hollow, eye]):
-        assert not any(np.all((point - part.corners[:, 0]) * part.normals, axis=1).all() for part in parts)
+        assert not any(heights(part, point[None]).max() < 0 for part in parts)
 
 
-def test_the_coarsest_parts_that_fit_are_taken(found):
-    surface, own = mug()
-    found.update({COACD_THRESHOLDS[0]: (hull(surface.vertices),), COACD_THRESHOLDS[1]: own})
-    assert len(convex_parts(surface, "mug")) == len(own)
-
-
-@pytest.mark.parametrize(
-    ("program", "error", "words"),
-    [
-        ("while True: pass", AssetError, r"'angle\.stl' into convex parts within 1 s of CPU time; simplify"),
-        ("import os; os.abort()", UnreadableHere, "exit code -6"),
-        ("raise ValueError('flat')", AssetError, "ValueError: flat"),
-    ],
-)
-def test_where_coacd_fails_or_takes_too_long_it_is_said(
-    angle, cache, tmp_path, monkeypatch, program, error, words
-):
-    (tmp_path / "coacd.py").write_text(program)
-    (tmp_path / "limited.py").write_text(LIMITED)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(module.__spec__, "name", "limited")
-    monkeypatch.setattr(module, "COACD_SECONDS", 1)
-    with pytest.raises(error, match=words):
-        convex_parts(angle, "angle.stl")
-    assert not cache.exists()
+def test_parts_are_the_same_where_no_clock_can_be_read(monkeypatch):
+    surface, _ = mug()
+    digests = [hashlib.sha256(parts_to_obj(collision_parts(surface)[1])).hexdigest()]
+    for clock in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
+        monkeypatch.setattr(time, clock, None)
+    digests.append(hashlib.sha256(parts_to_obj(collision_parts(surface)[1])).hexdigest())
+    assert len(set(digests)) == 1
 
 
 @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 1, 2), (1, 1, 0.1)])

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from qdgrasp_protocol.spec import key_texts
 from qdgrasp_tools.cli import job_processes, main
 
-HEAVY = {"coacd", "embreex", "matplotlib", "numba", "ribs", "scipy", "sklearn", "trimesh"}
+HEAVY = {"embreex", "matplotlib", "numba", "ribs", "scipy", "sklearn", "trimesh"}
 """Packages that take a tenth of a second or more to import; commands import them where needed."""
 
 
