@@ -83,7 +83,7 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     @property
     def notes(self) -> Iterator[str]:
-        """What is said of its convex parts and fine walls."""
+        """Warnings about its convex parts and fine walls."""
         if not PartsFit(self.filled, self.bare).is_good:
             yield (
                 f"its convex parts fill the room in front of {100 * self.filled:.0f} % of its surface, and "

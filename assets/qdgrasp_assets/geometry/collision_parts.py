@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.convex_cuts import cut_parts
+from qdgrasp_assets.geometry.convex_decomposition import cut_parts
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, heights, hull
 from qdgrasp_assets.geometry.proximity import inside_count, ray_distance
 from qdgrasp_assets.geometry.surface_points import sample_surface
@@ -76,7 +76,7 @@ class FingerClearance:
 
     @cached_property
     def free(self) -> tuple[Floats, Floats]:
-        """The points (n, 3) [m] `AHEAD` in front of the surface that are in free space, and its normals."""
+        """Points (n, 3) [m] `AHEAD` of the surface in free space, and its normals there."""
         clear = ray_distance(self._mesh, self._points + LIFT * self._normals, self._normals) > CLEAR
         if self.inside:
             clear &= ~self._inside

@@ -16,7 +16,6 @@ import typer
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_paths import named_path, path_problem
 from qdgrasp_assets.asset_report import AssetReport, ObjectReport, inspect_object
-from qdgrasp_assets.geometry.collision_parts import ignore_progress
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
 from qdgrasp_assets.grippers.gripper import Gripper
@@ -226,7 +225,7 @@ def _drawn(found: ObjectReport, draft: ObjectDraft, path: Path, folder: Path) ->
     if found.convex is None:
         return draw_asset(draft.mesh, path.name, folder)
     facts = file_facts(RunSpec(gripper="", object=str(path), mass=found.mass or 1.0))
-    body = ObjectModel(**vars(facts), **vars(geometry_of(draft, path.name, ignore_progress)))
+    body = ObjectModel(**vars(facts), **vars(geometry_of(draft)))
     return draw_asset(body, path.name, folder)
 
 

@@ -1,4 +1,4 @@
-"""Convex parts of a mesh by cuts at planes, made where parts fill free space that a finger needs.
+"""Convex parts of a mesh, cut at planes where parts fill free space that a finger needs.
 
 A part is the hull of the surface in a convex cell. The one that fills most is cut in two, at the best of some
 planes, until few free points are filled; then parts are joined where their common hull fills hardly more.
@@ -53,10 +53,10 @@ class Piece:
 
 
 def cut_parts(mesh: Mesh, points: Floats, normals: Floats, share: float) -> list[Floats]:
-    """Return the corners (v, 3) [m] of convex parts that fill at most a share of the free `points`.
+    """Return the corners (v, 3) [m] of convex parts that fill few of the free points.
 
-    The parts hold all of the mesh, to what simplifying it changes. They fill more than `share` if
-    `MOST_PIECES` do not suffice.
+    `points` (n, 3) [m] are free, in front of a surface of unit `normals` (n, 3). The parts fill at most a
+    `share` of them, unless `MOST_PIECES` do not suffice, and hold all of the mesh, simplified.
     """
     if len(mesh.faces) > MOST_TRIANGLES:
         mesh = simplify_mesh(mesh, MOST_TRIANGLES)
@@ -71,7 +71,8 @@ def _cut(mesh: Mesh, free: FreePoints, most: int) -> list[Piece]:
     labels, everything = bodies(mesh), np.arange(len(free[0]))
     if labels.max() >= MOST_BODIES:
         labels = np.zeros_like(labels)
-    pieces, done = [], []
+    pieces: list[Piece] = []
+    done: list[Piece] = []
     for body in range(labels.max() + 1):
         solid = Mesh(mesh.vertices, mesh.faces[labels == body])
         if piece := _piece(solid.corners, free, everything):
@@ -90,7 +91,7 @@ def _filled(pieces: list[Piece]) -> int:
 
 
 def _piece(triangles: Floats, free: FreePoints, near: Indices) -> Piece | None:
-    """Return a piece of triangles (t, 3, 3); None if it is flat. `near` are free points it may fill."""
+    """Return a piece of triangles (t, 3, 3), which fills some of the points `near`; None: flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     vertices = triangles.reshape(-1, 3)
@@ -110,18 +111,16 @@ def _piece(triangles: Floats, free: FreePoints, near: Indices) -> Piece | None:
 
 
 def _best_halves(piece: Piece, free: FreePoints) -> list[Piece]:
-    """Return the two halves of a piece at the best of the planes; none if one of them is always flat."""
-    best, least = [], np.inf
+    """Return the halves of a piece at the best of the planes; none if one is always flat."""
+    found: list[tuple[float, int, list[Piece]]] = []
     for normal, offset in _planes(piece) if len(piece.filled) else ():
         sides = cut_triangles(piece.triangles, normal, offset)
         halves = [half for side in sides if (half := _piece(side, free, piece.filled))]
-        if len(halves) < len(sides):
-            continue
-        reach = sum(half.reach for half in halves) / piece.reach
-        cost = round(reach + VOLUME_WEIGHT * sum(half.volume for half in halves) / piece.volume, 6)
-        if cost < least:
-            best, least = halves, cost
-    return best
+        if len(halves) == len(sides):
+            reach = sum(half.reach for half in halves) / piece.reach
+            cost = reach + VOLUME_WEIGHT * sum(half.volume for half in halves) / piece.volume
+            found.append((round(cost, 6), len(found), halves))
+    return min(found)[2] if found else []
 
 
 def _planes(piece: Piece) -> Iterator[tuple[Floats, float]]:
@@ -143,7 +142,7 @@ def _planes(piece: Piece) -> Iterator[tuple[Floats, float]]:
 
 
 def _long_axes(corners: Floats) -> Floats:
-    """Return three directions (3, 3) at right angles, in which corners (v, 3) extend far, farthest first."""
+    """Return three directions (3, 3) at right angles in which corners (v, 3) extend far."""
     along = corners - corners.mean(axis=0)
     along = along - along[dot(along, along).argmax()]
     first = along[dot(along, along).argmax()]
@@ -177,8 +176,9 @@ def cut_triangles(triangles: Floats, normal: Floats, offset: float) -> tuple[Flo
 
 
 def _joined(pieces: list[Piece], free: FreePoints, most: int) -> list[Piece]:
-    """Join pieces, those first whose common hull fills least more, while all fill at most so many points."""
-    left, waiting = dict(enumerate(pieces)), []
+    """Join pieces, those first that then fill least more, while all fill at most so many."""
+    left = dict(enumerate(pieces))
+    waiting: list[tuple[int, float, int, int, Piece]] = []
     most, everything = max(most, _filled(pieces)), np.arange(len(free[0]))
 
     def propose(a: int, b: int) -> None:
