@@ -1,8 +1,8 @@
 """Replay grasps of the Panda hand under contacts of others: `python -m benchmarks.elsewhere`.
 
 Each set of grasps is exported as a bundle and lifted in plain MuJoCo, with a servo of 5000 N/m and 35 N a
-finger, at the hand's own speed, while the object floats as the hand closes. Runs that are in the folder OUT
-already are used again.
+finger, at the hand's own speed, while the object resists as on a table. Runs that are in OUT already
+are used again.
 """
 
 import argparse
@@ -66,7 +66,7 @@ def replayed(bundle: Path, most: int, contacts: str) -> dict[str, NDArray[Any]]:
     places = np.concatenate([spread(np.flatnonzero(kind), most) for kind in (is_held, ~is_held)])
     arrays = {name: grasps[name][places] for name in ("pose", "opened", "closed")}
     survived = [
-        lifts(model, {name: each[n] for name, each in arrays.items()}, grasps["speeds"], floats=True)
+        lifts(model, {name: each[n] for name, each in arrays.items()}, grasps["speeds"])
         for n in range(len(places))
     ]
     return {"held": is_held[places], "eta": grasps["eta"][places], "survived": np.array(survived, dtype=bool)}
