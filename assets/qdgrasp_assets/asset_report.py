@@ -69,7 +69,7 @@ class ConvexPartsReport(Struct, frozen=True, kw_only=True):
 
     count: int
     source: str
-    """"own hull" or "coacd"."""
+    """"own hull" or "cuts"."""
     filled: float
     """Share of the surface in front of which they fill free space, 0 to 1."""
     bare: float

@@ -48,7 +48,7 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """The geometry of an object, in its CoM frame: origin at the CoM, axes of the mesh."""
 
     collision_source: Words
-    """Source of the parts: "own parts", "own hull", "asset path" or "coacd"."""
+    """Source of the parts: "own parts", "own hull", "asset path" or "cuts"."""
     com_in_mesh: Vector
     """The centre of mass in the mesh file's frame [m]: mesh = com frame + this."""
     collision: bytes

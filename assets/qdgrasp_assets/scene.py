@@ -132,7 +132,7 @@ class SceneObject(Struct, frozen=True, kw_only=True):
     source: str
     licence: str
     collision_source: str
-    """Source of the parts: "own parts", "own hull", "asset path" or "coacd"."""
+    """Source of the parts: "own parts", "own hull", "asset path" or "cuts"."""
     mass: float
     lateral_friction: float
     rolling_friction: float

@@ -351,7 +351,7 @@ def repaired_copy(
     Where the with-block fails, what was written is removed. `tell` is called before each slow step. With
     `may_centre` another base link is put before `base` where the fingers close beside its line of approach,
     with the `overrides` that the draft of its file will have. Raises `AssetError` if a mesh is missing or
-    cannot be read, CoACD failed, or the copy cannot be written or would replace the hand's own files; and the
+    cannot be read, or the copy cannot be written or would replace the hand's own files; and the
     errors of `draft_gripper`.
     """
     urdf, folder = repaired_urdf(toml), repaired_meshes(toml)
