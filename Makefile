@@ -52,7 +52,7 @@ test-docs: $(VENV)/.ready $(VENV)/.docs
 	$(BIN)/python -m pytest tests/docs tests/examples
 
 comma := ,
-# In an environment of its own: mujoco-warp takes other versions of MuJoCo than the usual workers.
+# In an environment of its own, which is large.
 test-gpu:
 	@$(MAKE) --no-print-directory VENV=.venv-gpu .venv-gpu/.gpu
 	.venv-gpu/bin/python -m pytest tests/worker/engines

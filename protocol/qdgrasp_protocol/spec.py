@@ -66,7 +66,7 @@ EngineChoice = Literal[EngineName, "bullet,mujoco", "mujoco,bullet"]
 DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
 DEVICE_ENGINE: Literal["mujoco-warp"] = "mujoco-warp"  # Of workers with a device alone
 DEVICE_VARIABLE = "QDGRASP_DEVICE"  # Variable that names the device of workers
-ENGINE_PACKAGES = {"bullet": "pybullet", "mujoco": "mujoco-core", DEVICE_ENGINE: "mujoco-warp"}
+ENGINE_PACKAGES = {"bullet": "pybullet", "mujoco": "mujoco", DEVICE_ENGINE: "mujoco-warp"}
 LAST_WHEEL = (3, 11)  # The last Python that PyBullet has a wheel for
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import mujoco
 import tomli_w
 from tests.common import own_endpoint
 
@@ -24,12 +25,13 @@ CAMPAIGN = HERE / "campaign.toml"
 DIGESTS = HERE / "files" / "digests.toml"
 RERANKED = "panda-tennis_ball-antipodal_me_scs-s0-population20"
 """The run of the campaign whose best grasps are scored again."""
-PACKAGES = ("pybullet", "mujoco-core", "numpy", "scipy", "ribs")
+PACKAGES = ("pybullet", "numpy", "scipy", "ribs")
 
 
 def platform() -> dict[str, str]:
     """The packages and the machine that digests depend on besides this package."""
-    return {name: version(name) for name in PACKAGES} | {"machine": os.uname().machine}
+    found = {name: version(name) for name in PACKAGES}
+    return found | {"mujoco": mujoco.__version__, "machine": os.uname().machine}
 
 
 def golden() -> dict[str, Any]:

@@ -19,7 +19,6 @@ IMPORTED = {
     "sse-starlette": "sse_starlette",
     "mujoco-warp": "mujoco_warp",
     "warp-lang": "warp",
-    "mujoco": "",  # the same modules as mujoco-core, which is no extra
 }
 """Import names of packages with another name."""
 SCENE = ("--gripper", "panda", "--object", "tennis_ball")
@@ -77,7 +76,7 @@ def test_the_extras_are_those_of_the_distribution() -> None:
     listed = project["optional-dependencies"]
     for extra, packages in EXTRAS.items():
         names = [Requirement(text).name for text in listed[extra]]
-        assert {IMPORTED.get(name, name) for name in names} - {""} == set(packages)
+        assert {IMPORTED.get(name, name) for name in names} == set(packages)
     (every,) = map(Requirement, listed["all"])
     assert every.extras == {*EXTRAS, "worker"} - {"gpu"}
     assert "qdgrasp[all]" in listed["dev"]

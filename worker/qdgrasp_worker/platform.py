@@ -48,7 +48,7 @@ def platform(device: Device | None = None) -> dict[str, str]:
     for name in ENGINES:
         if name not in (DEFAULT_ENGINE, DEVICE_ENGINE):
             found |= {
-                name: version(ENGINE_PACKAGES[name]),
+                name: import_module(ENGINE_PACKAGES[name]).__version__,
                 f"{name}_probes": physical_probe_digest(name),
             }
     return found | (device_platform(device) if device else {})
