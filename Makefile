@@ -122,7 +122,7 @@ $(BIN)/python:
 	  echo "qdgrasp needs Python 3.11 or later, and found none as python3.11, python3 or python;" \
 	    "name it: make PYTHON=/path/to/python3.11 ..." >&2; exit 2; }
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info[:2] > (3, 11))" || \
-	  echo "PyBullet has no wheel for $$($(PYTHON) --version): MuJoCo alone is there (--engine mujoco)," \
+	  echo "PyBullet has no wheel for $$($(PYTHON) --version): MuJoCo alone is there," \
 	    "until '$(BIN)/pip install pybullet' has built it with a C++ compiler." >&2
 	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
 	  echo "$(PYTHON) could not make an environment in $(VENV); on Debian: apt install python3-venv" >&2; exit 2; }

@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.metrics.success_metrics import FITNESS_COLOURS, FITNESS_WORDS
 from qdgrasp_coordinator.metrics.successes import survival
-from qdgrasp_coordinator.scheduler.run_plan import RUN_DEFAULTS, full_spec
+from qdgrasp_coordinator.scheduler.run_plan import asked_spec
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.cli_support import run_command
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import Outcome, Rows
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec, has_bullet
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.run_commands import start_run
@@ -41,8 +41,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 def demo(out: Path = Path("runs/demo"), engine: str | None = None) -> None:
     """Fill an archive of grasps for the built-in Panda hand and mug, and draw them."""
     clear(out)
-    chosen = engine or (DEFAULT_ENGINE if has_bullet() else "mujoco")
-    spec = full_spec(RUN_DEFAULTS | SPEC | {"engine": chosen})
+    spec = asked_spec(SPEC | ({"engine": engine} if engine else {}))
     start_run(spec, out, LocalJobConfig(options.cores()), more={MARKER: b""})
     picture = out / "grasps.png"
     folder = RunFolder.open(out)

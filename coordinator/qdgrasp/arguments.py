@@ -14,7 +14,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_coordinator.scheduler.run_plan import absolute_asset
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.rows import GIVEN, Genomes, Layout
-from qdgrasp_protocol.spec import BaseName, EngineChoice, ProtocolName, RunSpec, run_spec
+from qdgrasp_protocol.spec import BaseName, EngineChoice, ProtocolName, RunSpec, run_spec, usual_engine
 
 
 def plain_number(value: Any) -> Any:
@@ -41,7 +41,8 @@ class SceneArguments(TypedDict, total=False):
     """The protocol that the trials of "robust" disturb, "paper" or "physical"; "paper"."""
     engine: EngineChoice | None
     """The physics engine, "bullet" or, but for "released", "mujoco", or both in their order, as in
-    "bullet,mujoco"; of "physical" "mujoco-warp" too; "bullet"."""
+    "bullet,mujoco"; of "physical" "mujoco-warp" too; "bullet" where PyBullet is installed,
+    else "mujoco"."""
     approach_distance: float | None
     """Distance [m] from which the open hand comes along its approach axis, touching nothing; 0, or 0.1 with a
     resting pose."""
@@ -67,7 +68,7 @@ def spec_from_arguments(scene_arguments: SceneArguments, **more: Any) -> RunSpec
             values[name] = os.fspath(values[name])
         if name in values:
             values[name] = absolute_asset(values[name])
-    return run_spec(values, "qdgrasp")
+    return run_spec(usual_engine(values.get("protocol")) | values, "qdgrasp")
 
 
 def layout_of(scene: Scene, prior: str) -> Layout:

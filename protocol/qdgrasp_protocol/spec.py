@@ -8,7 +8,6 @@ result depends on them.
 import ast
 import inspect
 import re
-import sys
 import tomllib
 from importlib.util import find_spec
 from pathlib import Path
@@ -67,19 +66,15 @@ DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
 DEVICE_ENGINE: Literal["mujoco-warp"] = "mujoco-warp"  # Of workers with a device alone
 DEVICE_VARIABLE = "QDGRASP_DEVICE"  # Variable that names the device of workers
 ENGINE_PACKAGES = {"bullet": "pybullet", "mujoco": "mujoco", DEVICE_ENGINE: "mujoco-warp"}
-LAST_WHEEL = (3, 11)  # The last Python that PyBullet has a wheel for
 
 
 class MissingEngine(InputError):
     """Bullet is to simulate where PyBullet is not installed."""
 
     def __init__(self) -> None:
-        why, how = "", "install it with `pip install pybullet`"
-        if (python := sys.version_info[:2]) > LAST_WHEEL:
-            why = f", and it has no wheel for Python {python[0]}.{python[1]}"
-            how = "build it with `pip install pybullet`, which takes a C++ compiler and some ten minutes"
         super().__init__(
-            f"PyBullet is not installed{why}: add --engine mujoco (not for the protocol released), or {how}."
+            "PyBullet is not installed: take --engine mujoco (not for the protocol released), or `pip "
+            "install pybullet`, which from Python 3.12 on takes a C++ compiler and some ten minutes."
         )
 
     def __reduce__(self) -> tuple[type[Self], tuple[()]]:
@@ -95,6 +90,11 @@ def engine_names(engine: str | None) -> tuple[str, ...]:
 def has_bullet() -> bool:
     """Return whether PyBullet is installed here."""
     return find_spec("pybullet") is not None
+
+
+def usual_engine(protocol: str | None = None) -> dict[str, str]:
+    """The engine to add to a spec that a person wrote; a recorded spec without one is in Bullet."""
+    return {} if has_bullet() or protocol == "released" else {"engine": "mujoco"}
 
 
 def check_engine(engine: str | None) -> None:
@@ -209,7 +209,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     base: BaseName = "paper"
     """Protocol that the trials of `robust` disturb; no other protocol has one."""
     engine: EngineChoice | None = None
-    """Physics engine, or two: what holds in the first is tried in the second; default bullet."""
+    """Physics engine, or two: what holds in the first is tried in the second; default bullet, else mujoco."""
     approach_distance: Annotated[float, Meta(ge=0, le=1)] | None = None
     """Distance [m] from which the open hand comes along its approach axis; default 0, with a table 0.1."""
     resting_pose: Annotated[int, Meta(ge=0, lt=MOST_RESTING_POSES)] | Literal["any"] | None = None

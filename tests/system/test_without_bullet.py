@@ -18,7 +18,6 @@ from qdgrasp_protocol.spec import MissingEngine
 from qdgrasp_tools.cli.main import app
 
 SCENE = ("--gripper", "panda", "--object", "tennis_ball")
-IN_MUJOCO = ("--protocol", "physical", "--engine", "mujoco")
 CAMPAIGN = """
 [defaults]
 gripper = "panda"
@@ -49,8 +48,8 @@ def files_in(folder: Path) -> list[Path]:
 @pytest.mark.parametrize(
     "words",
     [
-        ("run", *SCENE, "--evaluations", "20", "--out", "made"),
-        ("evaluate", *SCENE, "--poses", "poses.npz", "--out", "made/scores.npz"),
+        ("run", *SCENE, "--evaluations", "20", "--out", "made", "--engine", "bullet"),
+        ("evaluate", *SCENE, "--poses", "poses.npz", "--out", "made/scores.npz", "--protocol", "released"),
         ("verify", "finished"),
         ("campaign", "both.toml", "--out", "made"),
     ],
@@ -68,9 +67,9 @@ def test_what_needs_bullet_is_refused_before_anything_is_written(without_bullet:
 
 def test_a_program_is_refused_too_unless_others_evaluate(without_bullet: Path) -> None:
     with pytest.raises(MissingEngine):
-        api.evaluate(np.zeros((1, 3)), np.eye(4)[3:], gripper="panda", object="tennis_ball")
+        api.evaluate(np.zeros((1, 3)), np.eye(4)[3:], gripper="panda", object="tennis_ball", engine="bullet")
     elsewhere = api.Place(workers=0, connect="tcp/localhost:1")
-    api.Evaluations(gripper="panda", object="tennis_ball", place=elsewhere)
+    api.Evaluations(gripper="panda", object="tennis_ball", engine="bullet", place=elsewhere)
 
 
 def test_a_run_in_mujoco_is_carried_out_verified_and_exported_without_extras_too(qdgrasp: Commands) -> None:
@@ -83,7 +82,11 @@ def test_a_run_in_mujoco_is_carried_out_verified_and_exported_without_extras_too
     def said(*words: object) -> str:
         return end_of(qdgrasp.start(*words, PYTHONPATH=paths))[0]
 
-    said("run", *SCENE, *IN_MUJOCO, "--evaluations", 20, "--workers", 1, "--out", "run")
+    _, told = end_of(
+        qdgrasp.start("run", *SCENE, "--evaluations", 20, "--workers", 1, "--out", "run", PYTHONPATH=paths)
+    )
+    assert "mujoco" in told.splitlines()[0]
+    assert RunFolder.open(qdgrasp.home / "run").spec.engine == "mujoco"
     with RunFolder.open(qdgrasp.home / "run").journal() as journal:
         assert {"mujoco", "mujoco_probes"} <= journal.platform.keys()
         assert not {"pybullet", "probes"} & journal.platform.keys()

@@ -28,7 +28,7 @@ from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.messages import Failure, OpenRun
 from qdgrasp_protocol.rows import Genomes, Rows, RowShape
-from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml
+from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml, usual_engine
 
 CompareRow = Callable[[int, np.void, str], None]
 """Takes a row's place among the recorded ones, the row as evaluated now, and its error."""
@@ -269,6 +269,15 @@ RUN_DEFAULTS = {"protocol": "physical"}
 """Defaults of a run or a campaign of meshes that flags ask for; a campaign's file has those of the paper."""
 FLIGHT_KEYS = ("population", "generations_in_flight", "in_flight")
 """Keys of a spec that say how much is in flight: where one is given, the method decides none of them anew."""
+
+
+def asked_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
+    """Return the complete spec of a run that is asked for here, with the defaults of runs.
+
+    Raises as `full_spec`.
+    """
+    values = RUN_DEFAULTS | values
+    return full_spec(usual_engine(values["protocol"]) | values, where)
 
 
 def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:

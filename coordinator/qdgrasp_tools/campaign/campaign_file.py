@@ -36,6 +36,7 @@ from qdgrasp_protocol.spec import (
     RunSpec,
     read_run_spec,
     run_spec,
+    usual_engine,
 )
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.object_library import (
@@ -125,17 +126,19 @@ def read_campaign(
     *,
     here: bool = True,
     goals: Mapping[str, float | None] = MappingProxyType({}),
+    usual: Mapping[str, Any] = MappingProxyType({}),
 ) -> Campaign:
     """Read the campaign in a TOML file.
 
     `here` checks that its grippers and objects are on this machine; `goals` are values of a spec's keys that
-    end runs, in place of the file's defaults, before which `ADAPTIVE_BUDGET` holds if grasps are among them.
+    end runs, in place of the file's defaults, before which `ADAPTIVE_BUDGET` holds if grasps are among them;
+    `usual` are values of keys that the file's defaults lack.
     Raises InputError if the file is missing, is not TOML, or asks for a run that is not possible; the run is
     named.
     """
     source = read_run_spec(path, LARGEST_CAMPAIGN)
     _check_tables(source, str(path))
-    source["defaults"] = _with_goals(source.get("defaults", {}), goals)
+    source["defaults"] = {**usual, **_with_goals(source.get("defaults", {}), goals)}
     return make_campaign(source, str(path), here=here)
 
 
@@ -307,7 +310,7 @@ def campaign_of_meshes(
     library = read_library(where, rules, tell)
     cross = {key: value for key, value in values.items() if value is not None and key not in STOP_KEYS}
     source = {
-        "defaults": _with_goals(RUN_DEFAULTS, {key: values.get(key) for key in STOP_KEYS}),
+        "defaults": _with_goals(usual_engine() | RUN_DEFAULTS, {key: values.get(key) for key in STOP_KEYS}),
         "cross": [cross | {"object": list(library.objects)}],
         "objects": library.objects,
     }

@@ -12,7 +12,7 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.spec import STOP_KEYS
+from qdgrasp_protocol.spec import STOP_KEYS, usual_engine
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_file import campaign_of_meshes, check_meshes, read_campaign
 from qdgrasp_tools.campaign.campaign_folder import begin_campaign, open_campaign
@@ -106,8 +106,9 @@ def campaign(
                 "No campaign is named: give its file or its folder, or a folder of meshes with --objects."
             )
         else:
-            file = open_campaign(what).path / CAMPAIGN if what.is_dir() else what
-            asked = read_campaign(file, goals=goals)
+            begun = what.is_dir()  # and its file says the engine
+            file = open_campaign(what).path / CAMPAIGN if begun else what
+            asked = read_campaign(file, goals=goals, usual={} if begun else usual_engine())
     if list_runs:
         for name, spec in asked.runs.items():
             echo(f"{name}  {spec.evaluations}")

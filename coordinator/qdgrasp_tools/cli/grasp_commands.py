@@ -16,7 +16,7 @@ from qdgrasp_coordinator.storage.run_folder import run_folders
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.spec import RunSpec, run_spec
+from qdgrasp_protocol.spec import RunSpec, run_spec, usual_engine
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.run_commands import FINALISTS, scored_run
@@ -249,12 +249,12 @@ def evaluate(
     named = (Path(keys[each]) for each in ("gripper", "object") if each in keys)
     output = OutFile(out, force=force, inputs=(poses, *named))
     output.check()
-    spec = run_spec(keys, "evaluate")
+    spec = run_spec(usual_engine(keys.get("protocol")) | keys, "evaluate")
     check_engines([spec])
     hand_poses = read_poses(poses)
     config = LocalJobConfig(options.worker_count(workers, spec.engine))
     with progress_display("evaluate", len(hand_poses)) as shown:
-        shown.say(f"building the scene of {spec.gripper} and {spec.object}")
+        shown.say(f"building the scene of {options.scene_words(spec)}")
         prepared = prepare_scene(spec)
         with lifetime("qdgrasp evaluate") as stop:
             genomes = hand_poses.genomes(prepared.scene)

@@ -115,7 +115,7 @@ def runs_of_job(what: Path, folder: JobFolder | None) -> RunQueue:
             log.warning("scans not found: stand-ins, without S_G coverage", objects=campaign.stand_ins)
         return CampaignRunQueue(folder, campaign.runs)
     if folder is None:
-        spec = run_plan.full_spec(run_plan.RUN_DEFAULTS | read_run_spec(what), str(what))
+        spec = run_plan.asked_spec(read_run_spec(what), str(what))
         prepared = run_plan.prepare_scene(spec)
     else:
         run = RunFolder.open(what)

@@ -19,8 +19,7 @@ from qdgrasp_protocol.spec import (
     DEFAULT_ENGINE,
     DEVICE_ENGINE,
     ENGINE_PACKAGES,
-    MissingEngine,
-    check_engine,
+    usual_engine,
 )
 from qdgrasp_protocol.text import counted
 from qdgrasp_protocol.zenoh_bus import ZenohBus
@@ -62,13 +61,9 @@ def _report(name: str, check: Callable[[], str]) -> bool:
 
 
 def _check_engines() -> str:
-    """Name both engines; without PyBullet, say what does not work."""
+    """Name the engines, and the one of scenes that name none."""
     found = ", ".join(f"{name} {_version(name)}" for name in ENGINE_PACKAGES.values())
-    try:
-        check_engine(DEFAULT_ENGINE)
-    except MissingEngine as why:
-        return f"{found}: {why}"
-    return found
+    return f"{found}; {usual_engine().get('engine', DEFAULT_ENGINE)} unless --engine says another"
 
 
 def _version(package: str) -> str:

@@ -15,7 +15,7 @@ from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import PROCESSES
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
-from qdgrasp_protocol.spec import DEVICE_ENGINE, RunSpec, key_texts, run_spec
+from qdgrasp_protocol.spec import DEVICE_ENGINE, RunSpec, engine_names, key_texts, run_spec
 
 SPEC, END, CHOICE = "Hand, object, search and evaluation", "End", "Choice of grasps"
 """Headings of options in the help of commands."""
@@ -203,6 +203,11 @@ Force = Annotated[bool, typer.Option("--force", help="Replace the output if it i
 def cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+def scene_words(spec: RunSpec) -> str:
+    """The hand, the object and the engines of a spec, for a person."""
+    return f"{spec.gripper} and {spec.object} in {' and '.join(engine_names(spec.engine))}"
 
 
 def worker_count(workers: int | None, *engines: str | None) -> int:

@@ -83,7 +83,7 @@ def run(
     values = read_run_spec(spec) if spec else {}
     if "cross" in values:
         raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
-    asked = run_plan.full_spec(run_plan.RUN_DEFAULTS | values | keys, str(spec) if spec else "run")
+    asked = run_plan.asked_spec(values | keys, str(spec) if spec else "run")
     config = LocalJobConfig(options.worker_count(workers, asked.engine), listen, security, insecure, seconds)
     place = out or Path("runs") / run_plan.default_run_name(asked)
     start_run(asked, place, config, job)
@@ -112,7 +112,7 @@ def build_scene_of(spec: RunSpec, config: LocalJobConfig, like: Scene | None = N
     Raises InputError if hand or object differ from those of the scene `like`.
     """
     check_engines([spec], config.workers)
-    echo(f"building the scene of {spec.gripper} and {spec.object}", err=True)
+    echo(f"building the scene of {options.scene_words(spec)}", err=True)
     with progress_messages() as tell:
         prepared = run_plan.prepare_scene(spec, tell=tell)
     if like is not None:
