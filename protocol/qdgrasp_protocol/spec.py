@@ -189,11 +189,11 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """
 
     gripper: str
-    """A built-in gripper, one on the asset path, or a gripper's TOML file."""
+    """A built-in gripper, one on the asset path, or a gripper's file (TOML; in run a URDF, MJCF)."""
     object: str
     """A built-in object, one on the asset path, or a mesh file."""
     mass: Annotated[float, Meta(gt=0, le=1000)] | None = None
-    """Mass of the object [kg]; default: the catalog's. Needed for a mesh file."""
+    """Mass of the object [kg]; default: the catalog's. Mesh files have none; run takes 500 kg/m3."""
     scale: Annotated[float, Meta(gt=0, le=1_000_000)] | None = None
     """Metres to a unit of the object's mesh file, 0.001 for mm; default 1."""
     friction: Annotated[float, Meta(gt=0, le=10)] | None = None

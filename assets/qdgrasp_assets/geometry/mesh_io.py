@@ -13,7 +13,7 @@ import numpy as np
 
 from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, path_problem
 from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName, UnreadableHere
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName, UnreadableHere
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}  # Metres to a unit
 WORDS = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
@@ -24,24 +24,21 @@ MILLIMETRES = 10.0  # Size in units above which a drawing is probably in millime
 ROUNDING = 1e-6  # Relative difference below which two scales are the same
 
 
-def scale_of(units: str | None, scale: float | None) -> float | None:
-    """Return the metres to a unit that --units or --scale says; None where neither is given.
+def scale_of(units: str | float) -> float:
+    """Return the metres to a unit that --units says, by name or as a number.
 
-    Raises `UnknownName` for a unit that does not exist, `ImpossibleValue` for a scale that no mesh has, and
-    `InputError` if both are given.
+    Raises `UnknownName` for a unit that does not exist, `ImpossibleValue` for a scale that no mesh has.
     """
-    if scale is not None and not 0 < scale <= LARGEST_SCALE:
+    if isinstance(units, str):
+        if units not in UNITS:
+            raise UnknownName("unit", units, UNITS, "Or say how many metres it is, as in --units 0.001.")
+        return UNITS[units]
+    if not 0 < units <= LARGEST_SCALE:
         unit = "metres to a unit of the mesh file: 0.001 for mm"
         raise ImpossibleValue(
-            "--units", scale, f"a number greater than 0 and at most {LARGEST_SCALE} ({unit})"
+            "--units", units, f"a number greater than 0 and at most {LARGEST_SCALE} ({unit})"
         )
-    if units is None:
-        return scale
-    if units not in UNITS:
-        raise UnknownName("unit", units, UNITS, "Or say how many metres it is, as in --units 0.001.")
-    if scale is not None:
-        raise InputError(f"The unit {units} means a scale of {UNITS[units]:g} m: give only one of the two.")
-    return UNITS[units]
+    return units
 
 
 def scale_in_words(scale: float) -> str:

@@ -29,10 +29,10 @@ from qdgrasp_assets.grippers.hand_model import (
     guess_base,
     read_hand_model,
 )
-from qdgrasp_assets.grippers.urdf import Urdf
+from qdgrasp_assets.grippers.urdf import MOST_NAMED, Urdf
 from qdgrasp_assets.scene import Jaw, Synergy, Vector, vector
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
-from qdgrasp_protocol.text import counted, join_numbers
+from qdgrasp_protocol.text import counted, first_few, join_numbers
 
 AS_TOLD = "as told"
 TOLD_STILL = "does not close, as told"
@@ -68,6 +68,25 @@ class GripperDraft:
     closing: ClosingMotion
     warnings: tuple[str, ...] = ()
     """Signs that the guess is wrong, each with the flag that corrects it."""
+    questions: tuple[str, ...] = ()
+    """Those of them without whose answer grasps would be missed."""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The guess in four lines, each with the flags of `qdgrasp gripper new` that change it."""
+        file, body, axis = self.file, self.closing.body, self.file.approach_axis
+        roots = [body.joint(finger.joints[0]).child for finger in self.closing.fingers]
+        moves = [
+            f"{name} {table.open:.4g} to {table.closed:.4g}"
+            for name, table in file.joints.items()
+            if table.closed is not None
+        ]
+        return (
+            f"base link  {file.base_link}: {self.reasons['base_link']} (--base-link)",
+            f"approach   {join_numbers(axis)}: {self.reasons['approach_axis']} (--approach-axis)",
+            f"fingers    {len(roots)}, from {', '.join(roots)} (--finger)",
+            f"closes     {first_few(moves, MOST_NAMED)} (--open, --closed, --not-closing)",
+        )
 
 
 def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperDraft:
@@ -79,7 +98,7 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
     """
     base, base_reason = overrides.base_link, overrides.base_reason
     if base is None:
-        base, base_reason = guess_base(robot)
+        base, base_reason, _ = guess_base(robot)
     elif base not in robot.links:
         raise UnknownName("link", base, robot.links)
     body = read_hand_model(robot, base)
@@ -138,7 +157,9 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         **{f"joints.{name}": reason for name, (_, reason) in joints.items()},
     }
     told = frozenset(("approach_axis",) if overrides.approach_axis else ())
-    return GripperDraft(file, reasons, closing, tuple(_warnings(closing, axis, told)))
+    questions = tuple(_idle_fingers(closing))
+    warnings = (*questions, *_warnings(closing, axis, told))
+    return GripperDraft(file, reasons, closing, warnings, questions)
 
 
 def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
@@ -256,7 +277,15 @@ def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> It
 
     `axis` (3,) is the approach axis, `told` has the keys that are not guessed.
     """
-    yield from _finger_warnings(closing)
+    lengths = [finger_length(closing.body, finger) for finger in closing.fingers]
+    for finger, length in zip(closing.fingers, lengths, strict=True):
+        root = closing.body.joint(finger.joints[0]).child
+        if length <= SHORT_FINGER * max(lengths):
+            yield (
+                f"the finger that begins with '{root}' is {1000 * length:.0f} mm long, and the longest "
+                f"{1000 * max(lengths):.0f} mm: if it is no finger, name the links that begin the others, "
+                "each with --finger LINK"
+            )
     if against := ", ".join(contradicted_limits(closing.body.robot)):
         yield f"limits that mostly forbid what <mimic> asks: {against}; --repair takes those of the <mimic>"
     if "approach_axis" not in told and np.abs(axis).max() < 1 - 1e-9:
@@ -266,21 +295,14 @@ def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> It
         )
 
 
-def _finger_warnings(closing: ClosingMotion) -> Iterator[str]:
-    lengths = [finger_length(closing.body, finger) for finger in closing.fingers]
+def _idle_fingers(closing: ClosingMotion) -> Iterator[str]:
     fixed = fixed_limbs(closing.body)
-    for finger, length in zip(closing.fingers, lengths, strict=True):
-        root = closing.body.joint(finger.joints[0]).child
+    for finger in closing.fingers:
         if not closing.closing_joints(finger) and finger.joints[0] not in fixed:
             yield (
-                f"nothing closes the finger that begins with '{root}': say where its joints close to with "
-                "--closed JOINT=POSITION; if it is no finger, name those that are, each with --finger LINK"
-            )
-        elif length <= SHORT_FINGER * max(lengths):
-            yield (
-                f"the finger that begins with '{root}' is {1000 * length:.0f} mm long, and the longest "
-                f"{1000 * max(lengths):.0f} mm: if it is no finger, name the links that begin the others, "
-                "each with --finger LINK"
+                f"nothing closes the finger that begins with '{closing.body.joint(finger.joints[0]).child}': "
+                "say where its joints close to with --closed JOINT=POSITION; if it is no finger, name those "
+                "that are, each with --finger LINK"
             )
 
 

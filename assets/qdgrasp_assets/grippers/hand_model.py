@@ -236,8 +236,11 @@ def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Fl
 LARGEST_HAND = 0.5  # A hand's joints are not farther apart than this [m]
 
 
-def guess_base(robot: Urdf) -> tuple[str, str]:
-    """Return the link where a hand begins, and the reason: several moving limbs, all near."""
+def guess_base(robot: Urdf) -> tuple[str, str, list[str]]:
+    """Return the link where a hand begins, the reason, and others where another hand begins.
+
+    From each several moving limbs go out whose joints are near each other.
+    """
     links = (robot.root, *(joint.child for joint in robot.joints_beyond(robot.root)))
     limbs = {link: moving_limbs(robot, link) for link in links}
     found = [link for link in links if len(limbs[link]) > 1 and _spread(robot, link) < LARGEST_HAND]
@@ -245,12 +248,12 @@ def guess_base(robot: Urdf) -> tuple[str, str]:
         parents = [joint.parent for joint in robot.joints_beyond(robot.root) if joint.moves]
         near = [link for link in parents if _spread(robot, link) < LARGEST_HAND]
         link = _rigid_root(robot, near[0]) if near else robot.root
-        return link, "no link has several moving limbs; beyond this one all joints are near each other"
+        return link, "no link has several moving limbs; beyond this one all joints are near each other", []
     first = found[0]
     others = [other for other in found if other not in robot.subtree(first).links]
     more = f"; they also do from {', '.join(others)}, which --base-link may name" if others else ""
     innermost = next(link for link in reversed(found) if limbs[link] == limbs[first])
-    return _rigid_root(robot, innermost), f"{len(limbs[first])} moving limbs go out from it{more}"
+    return _rigid_root(robot, innermost), f"{len(limbs[first])} moving limbs go out from it{more}", others
 
 
 def moving_limbs(robot: Urdf, base: str) -> tuple[str, ...]:

@@ -12,10 +12,11 @@ import numpy as np
 from msgspec import structs
 
 from qdgrasp_assets.asset_paths import named_path, path_problem
-from qdgrasp_assets.catalog import assemble_scene, build_scene
+from qdgrasp_assets.catalog import assemble_scene, build_scene, check_object
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
-from qdgrasp_assets.object_shape import ObjectShape
+from qdgrasp_assets.object_model import check_mesh
+from qdgrasp_assets.object_shape import ObjectShape, is_in_catalog
 from qdgrasp_assets.scene import Bundle, Scene, pack_scene
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
 from qdgrasp_coordinator.scheduler.pipeline import Generation, Pipeline
@@ -26,6 +27,7 @@ from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.build_messages import ShapeTask
+from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.messages import Failure, OpenRun
 from qdgrasp_protocol.rows import Genomes, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec, run_spec, to_toml, usual_engine
@@ -303,6 +305,23 @@ def complete_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
         spec = structs.replace(spec, in_flight=chosen.in_flight)
     check_spec(spec)
     return spec
+
+
+USUAL_DENSITY = 500.0  # Of a mesh file's object whose mass is not said [kg/m3]
+
+
+def with_mass(spec: RunSpec) -> RunSpec:
+    """Return the spec with the mass of its mesh file at `USUAL_DENSITY`, unless a mass is known.
+
+    Raises InputError if there is no such object, or the mesh cannot be used.
+    """
+    check_object(spec.object)
+    if spec.mass is not None or is_in_catalog(spec.object):
+        return spec
+    found = check_mesh(named_path(spec.object), spec.scale, spec.mesh)
+    if found.faults:
+        raise AssetError(f"The mesh '{spec.object}' cannot be used: {'; and '.join(found.faults)}.")
+    return structs.replace(spec, mass=float(f"{USUAL_DENSITY * found.volume:.3g}"))
 
 
 def absolute_asset(name: Any) -> Any:

@@ -79,6 +79,7 @@ def create_folder(path: Path, files: Mapping[str, bytes], folders: Iterable[str]
     with OutFolder(path).writing() as made:
         made.mkdir()
         for name, payload in files.items():
+            (made / name).parent.mkdir(parents=True, exist_ok=True)
             (made / name).write_bytes(payload)
             sync(made / name)
         for name in folders:

@@ -240,14 +240,16 @@ def _row(table: Mapping[str, Any], folder: Path) -> LibraryRow:
     row = LibraryRow(name=id_, file=(folder / relative).resolve())
     try:
         values = msgspec.convert(table, ManifestRow, strict=False)
-        if values.mass is not None and values.density is not None:
-            raise InputError("its row says mass and density; say one of them")
+        for one, other in (("mass", "density"), ("unit", "scale")):
+            if None not in (getattr(values, one), getattr(values, other)):
+                raise InputError(f"its row says {one} and {other}; say one of them")
         said = {key: value for key, value in structs.asdict(values).items() if value is not None}
         notes, mesh = ({key: said[key] for key in said if key in keys} for keys in (NOTES, PREPARATIONS))
         known = {"gripper": "", "object": "", "about": notes | {"id": id_}}
         known |= ({"mesh": mesh} if mesh else {}) | {key: said[key] for key in said if key == "friction"}
         spec = run_spec(known, "row")
-        scale = scale_of(values.unit, values.scale)
+        units = values.scale if values.unit is None else values.unit
+        scale = None if units is None else scale_of(units)
     except (msgspec.ValidationError, InputError) as error:
         return structs.replace(row, fault=str(error).rstrip("."))
     return structs.replace(

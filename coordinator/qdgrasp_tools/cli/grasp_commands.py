@@ -233,7 +233,7 @@ def evaluate(
     keys: dict[str, Any],
     poses: Annotated[Path, typer.Option(help="The poses: an npz file, see below.")],
     out: Annotated[Path, typer.Option(help="Where the scores go: an npz file; its folder is made.")],
-    workers: options.OwnWorkers = None,
+    workers: options.Workers = None,
     force: options.Force = False,
 ) -> None:
     """Score given hand poses, in the object's centre-of-mass frame.

@@ -4,24 +4,20 @@ import math
 import shlex
 from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from qdgrasp_assets.asset_report import examine_gripper, examine_hand, examine_urdf, read_hand
+from qdgrasp_assets.asset_report import examine_gripper, examine_hand, examine_urdf
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
-from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy, repaired_meshes, repaired_urdf
+from qdgrasp_assets.gripper_setup.repaired_copy import repaired_urdf
 from qdgrasp_assets.grippers.gripper import read_gripper
-from qdgrasp_assets.grippers.hand_model import guess_base
-from qdgrasp_assets.grippers.mjcf import is_mjcf
-from qdgrasp_assets.grippers.urdf import Urdf
-from qdgrasp_assets.grippers.urdf_checks import hand_faults
-from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder
+from qdgrasp_coordinator.storage.hand_files import read_tree, relative_name, usable_robot
+from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue
+from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.text import parse_numbers
 from qdgrasp_tools.cli import asset_commands, options
 
@@ -107,8 +103,10 @@ def new(
     file.check()
     asset_commands.picture_file(target.parent, target.name, "--out").check()
     with ExitStack() as until_written:
-        robot, given = _usable_robot(_single_tree(urdf), given, file, until_written, repair=repair)
-        made = draft_gripper(robot, _reference(robot.path, target), given)
+        robot, given = usable_robot(read_tree(urdf, echo), given, file, until_written, echo, repair=repair)
+        if robot.path == repaired_urdf(target):
+            echo(f"written: {robot.path}")
+        made = draft_gripper(robot, relative_name(robot.path, target), given)
         found = examine_hand(robot, made.file, str(target), made.warnings)
         asset_commands.print_findings(found)
         asset_commands.refuse_faulty("gripper", found, "was not written")
@@ -141,7 +139,7 @@ def check(
     """
     if picture is not None:
         asset_commands.picture_file(picture, name).check()
-    if name.lower().endswith((".urdf", ".xacro", ".xml", ".sdf")):  # of a URDF alone, as it is guessed
+    if options.is_robot_file(name):
         found, hand = examine_urdf(Path(name).expanduser(), name)
     else:
         found, hand = examine_gripper(name), None
@@ -150,58 +148,3 @@ def check(
         drawn = asset_commands.draw_asset(hand or find_gripper(name), name, picture)
         echo(f"drawn: {drawn}", err=as_json)
     asset_commands.refuse_faulty("gripper", found)
-
-
-def _single_tree(urdf: Path) -> Urdf:
-    robot, found, translated = read_hand(urdf)
-    if robot is None:
-        raise AssetError(f"The URDF '{urdf}' cannot be used: {'; and '.join(found)}.")
-    for sentence in translated:
-        echo(f"read: {sentence}")
-    return robot
-
-
-def _usable_robot(
-    robot: Urdf, given: DraftOverrides, file: OutFile, until_written: ExitStack, *, repair: bool
-) -> tuple[Urdf, DraftOverrides]:
-    """The robot, or a repaired copy of its hand, with the base link that is to be used.
-
-    A hand of an MJCF file is always copied, to a URDF. The copy goes where `until_written` fails.
-    """
-    base, reason = (given.base_link, given.base_reason) if given.base_link else guess_base(robot)
-    if base not in robot.links:
-        return robot, given
-    found = hand_faults(robot.subtree(base))
-    if found and not repair:
-        raise AssetError(
-            f"The URDF '{robot.path}' cannot be used as it is: {'; and '.join(found)}. "
-            "--repair writes a copy of the hand in which what can be repaired is."
-        )
-    if not repair and not is_mjcf(robot.path):
-        return robot, given
-    OutFile(repaired_urdf(file.path), force=file.force).check()
-    OutFolder(repaired_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
-    may_centre = repair and given.base_link is None
-    file.path.absolute().parent.mkdir(parents=True, exist_ok=True)
-    repairing = repaired_copy(
-        robot,
-        base,
-        file.path,
-        lambda sentence: echo(f"{sentence} ...", err=True),
-        may_centre=may_centre,
-        overrides=given,
-        as_it_is=not repair,
-    )
-    copy = until_written.enter_context(repairing)
-    for change in copy.changes or (("nothing had to be",) if repair else ()):
-        echo(f"repaired: {change}")
-    echo(f"written: {repaired_urdf(file.path)}")
-    return copy.robot, replace(
-        given, base_link=copy.base, base_reason=reason if copy.base == base else copy.changes[-1]
-    )
-
-
-def _reference(urdf: Path, target: Path) -> str:
-    """Return the URDF's path as the file names it: relative if it lies below the file's folder."""
-    whole, folder = urdf.resolve(), target.resolve().parent
-    return str(whole.relative_to(folder) if whole.is_relative_to(folder) else whole)

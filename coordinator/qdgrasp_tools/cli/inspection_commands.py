@@ -107,7 +107,7 @@ def verify(
     engine: Annotated[
         str | None, typer.Option(help="Compare verdicts on successes with this engine: bullet or mujoco.")
     ] = None,
-    workers: options.OwnWorkers = None,
+    workers: options.Workers = None,
     as_json: options.Json = False,
 ) -> None:
     """Evaluate recorded rows again, and compare every result with the recorded one, bit for bit.

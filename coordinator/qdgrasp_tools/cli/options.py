@@ -116,7 +116,7 @@ def _parsed(text: str) -> Any:
 def scale_of_units(units: str | None) -> float | None:
     """Return the metres to a unit, by name or as a number; errors as of `scale_of`."""
     number = _parsed(units or "")
-    return scale_of(None, number) if isinstance(number, int | float) else scale_of(units, None)
+    return scale_of(number if isinstance(number, int | float) else units) if units else None
 
 
 def preparation(text: str | None) -> MeshPreparation | None:
@@ -142,12 +142,6 @@ Workers = Annotated[
     int | None,
     typer.Option(
         "--workers", min=0, help="Worker processes; default: one per core.", rich_help_panel=PROCESSES
-    ),
-]
-OwnWorkers = Annotated[
-    int | None,
-    typer.Option(
-        "--workers", min=1, help="Worker processes; default: one per core.", rich_help_panel=PROCESSES
     ),
 ]
 Seconds = Annotated[
@@ -203,6 +197,11 @@ Force = Annotated[bool, typer.Option("--force", help="Replace the output if it i
 def cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
+
+
+def is_robot_file(name: str) -> bool:
+    """Return whether a gripper is named by its URDF or MJCF file, of which the rest is guessed."""
+    return name.lower().endswith((".urdf", ".xacro", ".xml", ".mjcf", ".sdf"))
 
 
 def scene_words(spec: RunSpec) -> str:

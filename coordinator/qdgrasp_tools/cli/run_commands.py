@@ -1,6 +1,7 @@
 """`qdgrasp run`, `resume` and `rerank`: runs that this machine carries out."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import msgspec
@@ -12,6 +13,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits, object_motion
 from qdgrasp_coordinator.metrics.successes import Successes, TrialPlan, all_successes, best_first
 from qdgrasp_coordinator.scheduler import run_plan
 from qdgrasp_coordinator.search import source_runs
+from qdgrasp_coordinator.storage import hand_files
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import NO_FILES, Files, PreparedScene, RunFolder
 from qdgrasp_protocol import cli_support
@@ -55,6 +57,9 @@ def resume_hint(job: JobFolder) -> str:
     return f"`{job.resume_command}` continues where it stopped."
 
 
+HAND = "gripper"  # Folder of a run with the guessed file of its hand
+
+
 @options.spec_flags(
     "gripper", "object", "mass", "units", "mesh", "method", "aim_for", "diversity", "seed", "protocol",
     "engine", "resting_pose", "evaluations", "grasps",
@@ -76,9 +81,12 @@ def run(
 ) -> None:
     """Fill an archive of grasps: a coordinator, a recorder and workers on this machine.
 
+    Of a hand's URDF or MJCF file the rest is guessed, said, and written to the run's folder. A mesh file
+    without a mass is taken at 500 kg/m3.
+
     Example: qdgrasp run --gripper panda --object mug --evaluations 3000
 
-    Example: qdgrasp run --gripper panda --object part.stl --units mm --mass 0.3 --set population=200
+    Example: qdgrasp run --gripper hand.urdf --object part.stl --units mm --mass 0.3
     """
     values = read_run_spec(spec) if spec else {}
     if "cross" in values:
@@ -86,7 +94,21 @@ def run(
     asked = run_plan.asked_spec(values | keys, str(spec) if spec else "run")
     config = LocalJobConfig(options.worker_count(workers, asked.engine), listen, security, insecure, seconds)
     place = out or Path("runs") / run_plan.default_run_name(asked)
-    start_run(asked, place, config, job)
+    RunFolder.check_free(place)
+    weighed = run_plan.with_mass(asked)
+    if weighed.mass != asked.mass:
+        echo(f"mass       {weighed.mass} kg, at {run_plan.USUAL_DENSITY:g} kg/m3 (--mass)")
+    if not options.is_robot_file(asked.gripper):
+        start_run(weighed, place, config, job)
+        return
+    with TemporaryDirectory(prefix="qdgrasp-") as folder:
+        name = Path(HAND, Path(asked.gripper).with_suffix(".toml").name)
+        hand_files.write_guess(Path(asked.gripper), folder / name, echo)
+        prepared = build_scene_of(msgspec.structs.replace(weighed, gripper=str(folder / name)), config)
+        made = (file for file in Path(folder).rglob("*") if file.is_file())
+        files = {str(file.relative_to(folder)): file.read_bytes() for file in made}
+    guessed = msgspec.structs.replace(weighed, gripper=str((place / name).absolute()))
+    start_run(guessed, place, config, job, files, prepared)
 
 
 def start_run(

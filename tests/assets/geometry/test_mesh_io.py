@@ -16,7 +16,7 @@ from qdgrasp_assets.geometry.mesh_io import (
     to_bytes,
 )
 from qdgrasp_assets.object_model import read_draft, read_solid
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue, InputError, UnknownName
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
 BLOCK = (0.02, 0.03, 0.05)
@@ -80,16 +80,15 @@ IMPOSSIBLE = r"--units must be a number greater than 0 and at most 1000000 .*got
 
 
 @pytest.mark.parametrize(
-    ("units", "scale", "error", "sentence"),
+    ("units", "error", "sentence"),
     [
-        ("mm", 2.0, InputError, r"unit mm means a scale of 0\.001 m: give only one"),
-        ("furlong", None, UnknownName, r"Unknown unit 'furlong'\. Known: cm, in, m, mm\."),
-        *((None, scale, ImpossibleValue, IMPOSSIBLE) for scale in (0.0, -1.0, float("nan"), 1e7)),
+        ("furlong", UnknownName, r"Unknown unit 'furlong'\. Known: cm, in, m, mm\."),
+        *((scale, ImpossibleValue, IMPOSSIBLE) for scale in (0.0, -1.0, float("nan"), 1e7)),
     ],
 )
-def test_what_is_no_unit_or_scale_is_refused_in_a_sentence(units, scale, error, sentence):
+def test_what_is_no_unit_or_scale_is_refused_in_a_sentence(units, error, sentence):
     with pytest.raises(error, match=sentence):
-        scale_of(units, scale)
+        scale_of(units)
 
 
 @pytest.mark.parametrize("name", [*PLACES, "x" * 300 + ".stl"])
