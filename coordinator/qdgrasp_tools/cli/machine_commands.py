@@ -1,6 +1,7 @@
 """`qdgrasp doctor` and `security`: what a machine needs, and certificates for many."""
 
 import importlib.metadata
+import importlib.util
 import os
 import socket
 import sqlite3
@@ -67,10 +68,12 @@ def _check_engines() -> str:
 
 
 def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
+    """Return the version of an engine's package, which is imported; "absent" if not installed."""
+    name = package.replace("-", "_")
+    if importlib.util.find_spec(name) is None:
         return "absent"
+    module = importlib.import_module(name)
+    return str(getattr(module, "__version__", None) or importlib.metadata.version(package))
 
 
 def _check_bus() -> str:

@@ -183,7 +183,8 @@ class JobProcesses:
 
     def _restart(self, death: ProcessExit, now: float) -> None:
         pause = self._processes.restart_later(death, now)
-        self._display.say(f"{death.name} {death.description}; it is started again in {pause:.1f} s")
+        why = f" ({death.words.rstrip('.')})" if death.words else ""
+        self._display.say(f"{death.name} {death.description}{why}; it is started again in {pause:.1f} s")
 
 
 def _silence(death: ProcessExit) -> str:

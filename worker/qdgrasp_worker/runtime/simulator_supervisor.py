@@ -165,8 +165,8 @@ def simulator_command(evaluator: str | None, device: Device | None = None) -> li
     return [sys.executable, "-m", "qdgrasp_worker.runtime.custom_evaluator", f"{where}:{name}"]
 
 
-class NoSimulator(QdgraspError):
-    """A simulator that ends before it has evaluated the probes, with the reason."""
+class NoSimulator(InputError):
+    """Simulators end before they have evaluated the probes, or any row; with the reason."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(f"The simulator does not start: {reason}.")
