@@ -73,7 +73,7 @@ def worker(
             envvar="QDGRASP_NICE",
             help="How far simulators stand back behind other processes; 0: not at all.",
         ),
-    ] = 10,
+    ] = 0,
     evaluator: Annotated[
         str | None,
         typer.Option(
