@@ -8,8 +8,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from importlib.util import find_spec
 
-from qdgrasp_protocol.text import first_few, quoted
-
 
 class QdgraspError(Exception):
     """Base class of all errors; `exit_code` is that of a command that ends with it."""
@@ -145,19 +143,9 @@ class RunFailed(InputError):
 class RunsFailed(InputError):
     """Runs of a job, one or more of a total, that could not be carried out, when the others are."""
 
-    NAMED = 10
-    """Number of runs that are named besides the first."""
-
     def __init__(self, failures: Sequence[RunFailed], total: int) -> None:
-        first, *others = failures
-        if total == 1:
-            super().__init__(str(first))
-            return
-        names = first_few(quoted(other.run for other in others), self.NAMED)
-        super().__init__(
-            f"{len(failures)} of {total} runs could not be carried out; the first is '{first.run}': {first}"
-            + (f" The others: {names}." if others else "")
-        )
+        first, how_many = failures[0], f"{len(failures)} of {total} runs could not be carried out"
+        super().__init__(f"{how_many}; the first is '{first.run}': {first}" if total > 1 else str(first))
 
 
 class RecorderFellBack(QdgraspError):

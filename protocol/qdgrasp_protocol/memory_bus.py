@@ -89,15 +89,11 @@ class MemoryNetwork:
         with self._lock:
             for watcher in [e for e in self._entries if e.kind is Kind.WATCHER]:
                 tokens = [token.pattern for token in self.visible(Kind.TOKEN, watcher.session)]
-                before, now = (
-                    watcher.alive,
-                    [key for key in dict.fromkeys(tokens) if matches(watcher.pattern, key)],
-                )
+                before, now = watcher.alive, [key for key in tokens if matches(watcher.pattern, key)]
                 watcher.alive = now
-                for key in [key for key in before if key not in now] + [
-                    key for key in now if key not in before
-                ]:
-                    _call(watcher.handler, key, key in now)
+                for key in dict.fromkeys([*before, *now]):
+                    if (key in before) != (key in now):
+                        _call(watcher.handler, key, key in now)
 
 
 class MemoryBus(Bus):

@@ -229,6 +229,8 @@ class Recordable(Message, frozen=True, kw_only=True):
     """CPU time of these rows on their workers [s], outside the digest."""
     failures: list[Failure] = []
     """Reasons of the failures in rows with `Outcome.ERROR`."""
+    makers: list[tuple[RowCount, Text]] = []
+    """Numbers of rows that follow each other, and who made them: a worker's id and host; empty: unknown."""
 
 
 class Recorded(Message, frozen=True, kw_only=True):

@@ -385,11 +385,16 @@ class ProcessSupervisor:
                 process.stdin.close()
 
 
+def open_no_link(path: str, flags: int) -> int:
+    """Open a file for `open`; an OSError where a link is, which may lead anywhere."""
+    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
+
+
 def _start(command: list[str], log: Path | None) -> subprocess.Popen[bytes]:
     """Start a process that ends with this one; its own session keeps Ctrl-C from it."""
     environment = {**os.environ, **ONE_THREAD, SUPERVISED: "1"}
     environment.pop(SECURITY_VARIABLE, None)  # children are given the certificate folder by an option
-    with nullcontext() if log is None else log.open("ab") as file:
+    with nullcontext() if log is None else open(log, "ab", opener=open_no_link) as file:
         return subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=file, stderr=file, start_new_session=True, env=environment
         )

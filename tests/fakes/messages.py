@@ -92,6 +92,8 @@ def _value(kind: msgspec.inspect.Type, numbers: Iterator[int]) -> Any:
             return datetime(2026, 11, 22, 13, 2, next(numbers), tzinfo=UTC)
         case msgspec.inspect.ListType(item_type=item):
             return [_value(item, numbers), _value(item, numbers)]
+        case msgspec.inspect.TupleType(item_types=items):
+            return tuple(_value(item, numbers) for item in items)
         case msgspec.inspect.VarTupleType(item_type=item):
             return (_value(item, numbers), _value(item, numbers))
         case msgspec.inspect.DictType(value_type=item):

@@ -48,6 +48,8 @@ def values(kind: msgspec.inspect.Type) -> st.SearchStrategy[Any]:
             return st.booleans()
         case msgspec.inspect.ListType():
             return st.lists(values(kind.item_type), max_size=5)
+        case msgspec.inspect.TupleType():
+            return st.tuples(*map(values, kind.item_types))
         case msgspec.inspect.VarTupleType():
             most = min(5, 5 if kind.max_length is None else kind.max_length)
             return st.lists(values(kind.item_type), min_size=kind.min_length or 0, max_size=most).map(tuple)

@@ -56,7 +56,7 @@ def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(qdgras
     assert compared["same_verdict"] > 0.8 * compared["rows"]
     assert sum(each["outcome_now"] == "held" for each in table) > 5
     with RunFolder.open(qdgrasp.home / "one").journal() as journal:
-        held = int(np.flatnonzero(journal.rows(0, 40)["outcome"] == Outcome.HELD)[0])
+        held = int(np.flatnonzero(journal.slice(0, 40).rows["outcome"] == Outcome.HELD)[0])
     for name in ("still.png", "film.gif"):
         drawn = qdgrasp.succeed("render", "one", "--grasp", held, "-o", name, "--size", "320x240")
         assert drawn.out.startswith(f"held, row {held}: drawn in {name}")

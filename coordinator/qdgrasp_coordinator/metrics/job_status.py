@@ -129,8 +129,6 @@ class ObjectListings(Struct, frozen=True, kw_only=True):
 EVENTS_KEPT = 200  # Events that a coordinator keeps for late subscribers
 
 EventKind = Literal["job", "run", "worker", "recorder", "warning", "trouble", "error"]
-"""Subject; "warning" makes results worse, as a coarse shape does, "trouble" keeps a job from going on, and
-"error" is a row, a run or an object that is given up."""
 
 
 class JobEvent(Struct, frozen=True, kw_only=True):

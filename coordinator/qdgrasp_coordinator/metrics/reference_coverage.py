@@ -127,24 +127,19 @@ def read_references(path: Path) -> dict[str, ReferenceSet]:
     """
     arrays = read_arrays(path, "reference set")
     objects = [key.removesuffix(".cm") for key in arrays if key.endswith(".cm")]
-    if not objects:
-        raise AssetError(
-            f"'{path}' holds no reference set: {EXPECTED_FILE}, found {', '.join(arrays) or 'nothing'}."
-        )
-    return {name: _checked_set(path, name, arrays) for name in objects}
+    try:
+        if not objects:
+            raise ValueError(f"found {', '.join(arrays) or 'nothing'}")
+        return {name: _reference_set(name, arrays) for name in objects}
+    except (KeyError, ValueError) as error:
+        raise AssetError(f"'{path}' holds no reference set: {EXPECTED_FILE}; {error}.") from None
 
 
-def _checked_set(path: Path, name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceSet:
-    found, fitness = arrays[f"{name}.cm"], arrays.get(f"{name}.fitness")
-    if found.dtype.kind not in "iu" or found.ndim != 2 or found.shape[1] != 3:
-        raise AssetError(f"'{name}.cm' in '{path}' must be whole numbers (n, 3).")
-    is_known = fitness is not None and fitness.shape == (len(found),) and np.isin(fitness, (0, 1, 2)).all()
-    if fitness is None or not is_known:
-        raise AssetError(f"'{name}.fitness' in '{path}' must be {len(found)} whole numbers from 0 to 2.")
-    cells = found.astype(np.int64)
-    if len(np.unique(cells, axis=0)) != len(cells):
-        raise AssetError(f"'{name}.cm' in '{path}' names a cell more than once.")
-    return ReferenceSet(name, cells, fitness.astype(np.uint8))
+def _reference_set(name: str, arrays: Mapping[str, NDArray[np.generic]]) -> ReferenceSet:
+    cells, fitness = arrays[f"{name}.cm"].astype(np.int64), arrays[f"{name}.fitness"].astype(np.uint8)
+    if cells.shape != (len(fitness), 3):
+        raise ValueError(f"{name} has cells {cells.shape} and fitness {fitness.shape}")
+    return ReferenceSet(name, cells, fitness)
 
 
 PUBLISHED_SETS = "reference/S_G_{hand}.npz"  # Where the published sets lie on the asset path

@@ -4,7 +4,6 @@ import secrets
 from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from heapq import heappop, heappush
 from math import ceil, sqrt
 
 from qdgrasp_coordinator.scheduler.pipeline import Generation
@@ -123,12 +122,8 @@ class BatchQueue:
         self._prefix = secrets.token_bytes(8)
         self._batch_size = batch_size
         self._runs: dict[str, _RunBatches] = {}
-        self._of_scene: dict[str, dict[str, _RunBatches]] = {}
-        self._order = {False: RunOrder(), True: RunOrder()}
-        """The waiting runs, those that need a device apart."""
         self._again: dict[bytes, Batch] = {}
         """Rows that failed, for other workers than those that had them, by the id of their batch."""
-        self._begun = 0
         self._rows = 0
         """Number of waiting rows of all runs."""
         self._cut = 0
@@ -156,46 +151,32 @@ class BatchQueue:
 
     def submit(self, run: RunRef, generation: Generation) -> None:
         """Take rows of one generation that were never leased."""
-        if run.run not in self._runs:
-            self._begin(run)
-        waiting = self._runs[run.run]
+        waiting = self._runs.setdefault(run.run, _RunBatches(run, BatchSizer(self._batch_size)))
         if not waiting:
             waiting.served = max(waiting.served, self._served)
         waiting.uncut.append(generation)
         self._rows += len(generation)
-        self._order[run.needs_device].put(waiting)
-
-    def _begin(self, run: RunRef) -> None:
-        begun = _RunBatches(run, BatchSizer(self._batch_size), self._begun)
-        self._begun += 1
-        self._runs[run.run] = self._of_scene.setdefault(run.scene, {})[run.run] = begun
 
     def withdraw(self, run: str) -> None:
         """Forget a run."""
         self._again = {name: batch for name, batch in self._again.items() if batch.run.run != run}
         if (gone := self._runs.pop(run, None)) is not None:
             self._rows -= len(gone)
-            self._order[gone.run.needs_device].remove(gone)
-            del self._of_scene[gone.run.scene][run]
-            if not self._of_scene[gone.run.scene]:
-                del self._of_scene[gone.run.scene]
 
     def next_run(self, scenes: Collection[str], has_device: bool = False) -> str | None:
         """Return the run served least, or within the slack one whose scene is held; None: no rows.
 
-        A worker that has a device takes runs that need one first, and others do not take them. It costs the
-        runs of the scenes that the worker holds, and not of those only where the least served is one of them.
+        A worker that has a device takes runs that need one first, and others do not take them. Of runs that
+        were served equally, the eldest is first.
         """
-        least = (self._order[True].least if has_device else None) or self._order[False].least
-        if least is None or least.run.scene in scenes:
-            return least.run.run if least else None
-        held = [
-            rows
-            for scene in scenes
-            for rows in self._of_scene.get(scene, {}).values()
-            if rows and rows.run.needs_device == least.run.needs_device
-        ]
-        least_held = min(held, key=lambda rows: rows.place, default=least)
+        waiting = [rows for rows in self._runs.values() if rows and not rows.run.needs_device]
+        if has_device:
+            waiting = [rows for rows in self._runs.values() if rows and rows.run.needs_device] or waiting
+        least = min(waiting, key=lambda rows: rows.served, default=None)
+        if least is None:
+            return None
+        held = [rows for rows in waiting if rows.run.scene in scenes]
+        least_held = min(held, key=lambda rows: rows.served, default=least)
         return (least_held if least_held.served <= least.served + SCENE_SLACK else least).run.run
 
     def pop(self, run: str, workers: int, at_once: int = 0) -> Batch:
@@ -221,7 +202,6 @@ class BatchQueue:
         self._rows -= len(batch)
         self._served = waiting.served
         waiting.served += len(batch) * (waiting.sizer.seconds_per_row or 0.0)
-        self._order[waiting.run.needs_device].put(waiting)
         return batch
 
     def pop_tried(self, may_have: Callable[[Batch], bool]) -> Batch | None:
@@ -231,7 +211,6 @@ class BatchQueue:
             del self._again[found.id]
             waiting = self._runs[found.run.run]
             waiting.served += len(found) * (waiting.sizer.seconds_per_row or 0.0)
-            self._order[found.run.needs_device].put(waiting)
         return found
 
     def requeue(self, batch: Batch) -> None:
@@ -243,7 +222,6 @@ class BatchQueue:
         if batch.id not in waiting.again:
             self._rows += len(batch)
         waiting.again[batch.id] = batch
-        self._order[batch.run.needs_device].put(waiting)
 
     def requeue_row(self, batch: Batch, place: int, wid: str) -> None:
         """Queue a row that failed on a worker for another one, as a batch of its own."""
@@ -273,8 +251,6 @@ class _RunBatches:
 
     run: RunRef
     sizer: BatchSizer
-    number: int
-    """Ascends with the first rows."""
     uncut: deque[Generation] = field(default_factory=deque)
     """Rows that were never leased, of a generation each."""
     again: dict[bytes, Batch] = field(default_factory=dict)
@@ -287,40 +263,3 @@ class _RunBatches:
 
     def __bool__(self) -> bool:
         return bool(self.uncut or self.again)
-
-    @property
-    def place(self) -> tuple[float, int]:
-        """Its place among waiting runs: the one served least is first, of equals the eldest."""
-        return self.served, self.number
-
-
-class RunOrder:
-    """Waiting runs by what they were served: the least is found without a pass over all of them.
-
-    A place that a run has left stays until it comes to the top.
-    """
-
-    def __init__(self) -> None:
-        self._places: list[tuple[float, int]] = []
-        self._runs: dict[int, _RunBatches] = {}
-
-    def put(self, rows: _RunBatches) -> None:
-        """Add a run, or note its new place, if it waits."""
-        if rows:
-            self._runs[rows.number] = rows
-            heappush(self._places, rows.place)
-
-    def remove(self, rows: _RunBatches) -> None:
-        """Forget a run."""
-        self._runs.pop(rows.number, None)
-
-    @property
-    def least(self) -> _RunBatches | None:
-        """The run served least of those that wait; None: none does."""
-        while self._places:
-            place = self._places[0]
-            rows = self._runs.get(place[1])
-            if rows and rows.place == place:
-                return rows
-            heappop(self._places)
-        return None

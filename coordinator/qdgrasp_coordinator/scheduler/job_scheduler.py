@@ -182,7 +182,9 @@ class JobScheduler:
             rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
             words = f"{rows_of} given up after {STRIKES} tries: {failures[0].reason}."
             self.events.note("error", words, run=run.name, worker=wid)
-        run.sink.push(run.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures))
+        worker = self.workers.get(wid)
+        maker = messages.shorten(f"{wid} {worker.join.host if worker else ''}")
+        run.sink.push(run.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures, maker))
         if run.pipeline.finished is not None:
             self._withdraw(run.name)
 

@@ -24,6 +24,7 @@ from qdgrasp_protocol.spec import RunSpec
 
 MOST_FINAL = 4096  # The most rows that become final at once
 Places = NDArray[np.int64]  # (n,): indices, or trials, of rows
+RowKey = tuple[int, int, int]  # Generation, index and trial
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,8 @@ class Pipeline:
         self._open: deque[GenerationBuffer] = deque()
         self._asked = 0
         self._cpu_seconds = 0.0
-        self._reasons: dict[tuple[int, int, int], str] = {}
+        self._reasons: dict[RowKey, str] = {}
+        self._makers: dict[RowKey, str] = {}
         self._prepare(told=0)
 
     @property
@@ -250,15 +252,20 @@ class Pipeline:
                 return rows
         return None
 
-    def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> JournalSlice:
+    def settle(
+        self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = (), maker: str = ""
+    ) -> JournalSlice:
         """Take evaluated rows, in any order, and return those that have just become final.
 
         The rows have keys, genomes and results, and are of any generations. Rows that came before, were not
         asked for, or come after the end, are ignored. `cpu_seconds` are added to the next rows that become
-        final; `failures` are the reasons of rows with `Outcome.ERROR`, by their place in `rows`.
+        final; `failures` are the reasons of rows with `Outcome.ERROR`, by their place in `rows`; `maker` is
+        the id and host of the worker that made them.
         """
         self._cpu_seconds += cpu_seconds
-        self._reasons |= {_key(rows[failure.row]): failure.reason for failure in failures}
+        keys = _keys(rows)
+        self._reasons |= {keys[failure.row]: failure.reason for failure in failures}
+        self._makers |= dict.fromkeys(keys, maker)
         if self.finished is None:
             self._put(rows)
         return self._advance()
@@ -296,8 +303,10 @@ class Pipeline:
             return JournalSlice(first, self._shape.empty(0))
         rows = join_rows(pieces)
         cpu_seconds, self._cpu_seconds = self._cpu_seconds, 0.0
-        failures = self._failures(rows) if self.tally.errors > errors else ()
-        return JournalSlice(first, rows, cpu_seconds, failures)
+        keys = _keys(rows)
+        makers = tuple(self._makers.pop(key, "") for key in keys)
+        failures = self._failures(rows, keys) if self.tally.errors > errors else ()
+        return JournalSlice(first, rows, cpu_seconds, failures, makers)
 
     def _next_final_rows(self, buffer: GenerationBuffer) -> Rows:
         """Count the ready rows of the oldest generation, up to the end of the run."""
@@ -334,12 +343,13 @@ class Pipeline:
             self._open.append(GenerationBuffer(self._asked, genomes, self._shape, limit, trials))
             self._asked += 1
 
-    def _failures(self, rows: Rows) -> tuple[Failure, ...]:
+    def _failures(self, rows: Rows, keys: list[RowKey]) -> tuple[Failure, ...]:
         return tuple(
-            Failure(row=int(place), reason=self._reasons.pop(_key(rows[place]), ""))
+            Failure(row=int(place), reason=self._reasons.pop(keys[place], ""))
             for place in np.flatnonzero(rows["outcome"] == Outcome.ERROR)
         )
 
 
-def _key(row: np.void) -> tuple[int, int, int]:
-    return int(row["generation"]), int(row["index"]), int(row["trial"])
+def _keys(rows: Rows) -> list[RowKey]:
+    """Return generation, index and trial of each row."""
+    return list(zip(*(rows[name].tolist() for name in ("generation", "index", "trial")), strict=True))

@@ -64,7 +64,9 @@ class ReevaluationPlan:
         indices = np.arange(len(self._recorded), dtype=np.uint32)
         return Generation(0, indices, self._recorded["trial"], self._recorded["genome"])
 
-    def settle(self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = ()) -> JournalSlice:
+    def settle(
+        self, rows: Rows, cpu_seconds: float = 0.0, failures: Sequence[Failure] = (), maker: str = ""
+    ) -> JournalSlice:
         """Compare evaluated rows with the recorded ones; returns no rows."""
         reasons = {failure.row: failure.reason for failure in failures}
         fresh = np.flatnonzero(self._is_missing[rows["index"]])

@@ -35,6 +35,7 @@ from qdgrasp_coordinator.storage.outputs import (
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.keys import Keys, job_name
 from qdgrasp_protocol.messages import JobId
+from qdgrasp_protocol.process import open_no_link
 
 LOCK_PATIENCE = 1.0  # seconds; a process that checks whether a folder is in use holds its lock for an instant
 LOCK_INTERVAL = 0.05  # seconds between two tries
@@ -45,7 +46,7 @@ def hold_lock(folder: Path, name: str = LOCK, patience: float = LOCK_PATIENCE) -
     """Hold the lock `name` of the folder; raise `FolderError` if another process holds it."""
     deadline = time.monotonic() + patience
     with outputs.writing(folder):
-        file = (folder / name).open("a+")
+        file = open(folder / name, "a+", opener=open_no_link)  # noqa: SIM115  # closed below
     with file:
         while True:
             try:

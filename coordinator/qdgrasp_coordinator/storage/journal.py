@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
+from itertools import chain, groupby, repeat
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,7 +28,7 @@ from qdgrasp_protocol.spec import RunSpec, from_toml, to_toml
 from qdgrasp_protocol.text import printable
 
 APPLICATION = 0x71646772  # "qdgr"
-FORMAT = 1
+FORMAT = 2
 UNUSABLE = {
     *(sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_NOMEM),
     *(sqlite3.SQLITE_READONLY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_IOERR),
@@ -55,6 +56,12 @@ CREATE TABLE blocks (
                                -- and so on, deflated (zlib)
 ) STRICT;
 CREATE TABLE errors (row INTEGER PRIMARY KEY, reason TEXT NOT NULL) STRICT;
+CREATE TABLE makers (
+    first INTEGER PRIMARY KEY, -- number of the first of some rows that one worker made
+    n INTEGER NOT NULL,
+    worker TEXT NOT NULL,      -- its id, new at every start
+    host TEXT NOT NULL
+) STRICT;
 """
 
 
@@ -122,6 +129,8 @@ class JournalSlice:
     """CPU time of these rows on workers [s]; outside the digest, so it may be an estimate."""
     failures: tuple[Failure, ...] = ()
     """Reasons of rows with `Outcome.ERROR`, by their place in `rows`."""
+    makers: tuple[str, ...] = ()
+    """Who made each row, a worker's id and host with a space between; empty: unknown."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -142,7 +151,8 @@ class JournalSlice:
             if low <= failure.row < high
         )
         cpu_seconds = self.cpu_seconds * (high - low) / len(self)
-        return JournalSlice(self.first + low, self.rows[low:high], cpu_seconds, failures)
+        rows, makers = self.rows[low:high], self.makers[low:high]
+        return JournalSlice(self.first + low, rows, cpu_seconds, failures, makers)
 
 
 def join_slices(slices: Sequence[JournalSlice]) -> JournalSlice:
@@ -156,7 +166,8 @@ def join_slices(slices: Sequence[JournalSlice]) -> JournalSlice:
         for failure in part.failures
     )
     rows = np.concatenate([part.rows for part in slices])
-    return JournalSlice(first, rows, sum(part.cpu_seconds for part in slices), failures)
+    makers = tuple(chain.from_iterable(part.makers or repeat("", len(part)) for part in slices))
+    return JournalSlice(first, rows, sum(part.cpu_seconds for part in slices), failures, makers)
 
 
 def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) -> Recordable:
@@ -170,6 +181,7 @@ def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) 
         columns=deflated(pack(part.rows, COLUMNS)),
         cpu_seconds=part.cpu_seconds,
         failures=list(part.failures),
+        makers=[(sum(1 for _ in same), maker) for maker, same in groupby(part.makers)],
     )
 
 
@@ -180,8 +192,11 @@ def slice_from_message(message: Recordable, shape: RowShape) -> JournalSlice:
         raise MessageError(f"expected rows of {shape}, got {came}")
     if any(failure.row >= message.n for failure in message.failures):
         raise MessageError(f"a failure in a row behind its last, {message.n - 1}")
+    if message.makers and sum(n for n, _ in message.makers) != message.n:
+        raise MessageError(f"makers of other rows than {message.n}")
     rows = unpack(shape.empty(message.n), COLUMNS, message.columns)
-    return JournalSlice(message.first, rows, message.cpu_seconds, tuple(message.failures))
+    makers = tuple(chain.from_iterable(repeat(maker, n) for n, maker in message.makers))
+    return JournalSlice(message.first, rows, message.cpu_seconds, tuple(message.failures), makers)
 
 
 class Journal:
@@ -261,10 +276,6 @@ class Journal:
         """Sum over coordinators of the time from opening the run to its last commit [s]."""
         return float(self._all("SELECT total(last - opened) FROM turns")[0][0])
 
-    def rows(self, first: int, limit: int) -> Rows:
-        """At most `limit` rows from number `first` on, all columns."""
-        return self.slice(first, limit).rows
-
     def slice(self, first: int, limit: int) -> JournalSlice:
         """Return at most `limit` rows from number `first` on, with their cost and failures."""
         stop = min(first + limit, self.count)
@@ -281,6 +292,11 @@ class Journal:
     def errors(self) -> dict[int, str]:
         """Return the reasons of rows with `Outcome.ERROR`, by row number."""
         return {int(row): str(reason) for row, reason in self._all("SELECT row, reason FROM errors")}
+
+    def makers(self, first: int = 0, stop: int | None = None) -> list[tuple[int, int, str, str]]:
+        """Return first row, number, worker's id and host of rows `first` up to `stop`."""
+        asked = "SELECT * FROM makers WHERE first + n > ? AND first < ? ORDER BY first"
+        return self._all(asked, first, self.count if stop is None else stop)
 
     def close(self) -> None:
         """Close the file."""

@@ -9,6 +9,7 @@ import sqlite3
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
 
@@ -155,6 +156,11 @@ def insert_rows(database: sqlite3.Connection, part: JournalSlice, epoch: int) ->
     errors = [(part.first + failure.row, failure.reason) for failure in part.failures]
     database.execute("INSERT INTO blocks VALUES (?, ?, ?, ?, ?, ?)", block)
     database.executemany("INSERT INTO errors VALUES (?, ?)", errors)
+    first = part.first
+    for maker, same in groupby(part.makers):
+        n, (worker, _, host) = sum(1 for _ in same), maker.partition(" ")
+        database.execute("INSERT INTO makers VALUES (?, ?, ?, ?)", (first, n, worker, host))
+        first += n
 
 
 class OpenJournals:

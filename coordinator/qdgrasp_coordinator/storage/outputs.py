@@ -7,6 +7,7 @@ stay. Parent folders are made when there is something to write. An output appear
 
 import errno
 import os
+import secrets
 import stat
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -38,12 +39,16 @@ NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 def replace(file: Path, payload: bytes) -> None:
     """Replace a file at once; the new bytes are on the disk when this returns."""
-    part = file.with_name(f"{file.name}.part")
+    part = file.with_name(f".{secrets.token_hex(8)}.part")  # no link that a stranger laid there is followed
     with writing(file.parent):
-        part.write_bytes(payload)
-        sync(part)
-        part.replace(file)
-        sync(file.parent)
+        try:
+            with part.open("xb") as made:
+                made.write(payload)
+            sync(part)
+            part.replace(file)
+            sync(file.parent)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def read(file: Path) -> bytes:

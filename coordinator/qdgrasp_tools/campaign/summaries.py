@@ -61,7 +61,6 @@ class RunSummary(RunListing, frozen=True, kw_only=True):
     """Objective of a method that has one; empty: none, or `touch` in runs recorded without it."""
     told_apart_by: str = ""
     """Diversity that the search looked for, `position`, `orientation` or `contact`; empty: no objective."""
-    """Grasps of different kinds that fill a cell, as the spec has it."""
     engine: str = DEFAULT_ENGINE
     """The physics engine."""
     overlaps_mode: str
@@ -86,6 +85,8 @@ class RunSummary(RunListing, frozen=True, kw_only=True):
     platform: dict[str, str]
     in_both: dict[str, HeldShare] = field(default_factory=dict)
     """Of grasps that hold, how many do so in another engine too, by its name, where the run has a table."""
+    rows_by_host: dict[str, int] = field(default_factory=dict)
+    """Rows that the workers of each host made."""
 
     @property
     def words(self) -> str:
@@ -103,9 +104,10 @@ class RunSummary(RunListing, frozen=True, kw_only=True):
         platform, _ = values.pop("platform"), values.pop("outcomes")
         values["diversity"], values["nu"] = self.diversity.words, self.nu.words
         values["eta"] = None if self.eta is None else self.eta.words
-        shares = values.pop("in_both")
+        shares, hosts = values.pop("in_both"), values.pop("rows_by_host")
         lines = [f"{name.replace('_', ' '):<16} {_text(value)}" for name, value in values.items()]
         lines += [f"{f'in {name} too':<16} {share.words}" for name, share in shares.items()]
+        lines += [f"{'made on':<16} {host}: {counted(rows, 'row')}" for host, rows in hosts.items()]
         lines += [f"{'platform':<16} {name} {value[:24]}" for name, value in sorted(platform.items())]
         return "\n".join(lines)
 
@@ -120,7 +122,9 @@ def run_summary(folder: RunFolder) -> RunSummary:
             metrics.add(part)
             keys.append(niches(part.rows, reader))
             outcomes.append(part.rows["outcome"])
-        totals = found.totals
+        totals, hosts = found.totals, Counter[str]()
+        for _, n, _, host in journal.makers():
+            hosts[host] += n
         return RunSummary(
             **structs.asdict(RunListing.of(journal.run, journal.scene, found)),
             scale=spec.scale or 1.0,
@@ -140,6 +144,7 @@ def run_summary(folder: RunFolder) -> RunSummary:
             collision_source=folder.scene().object.collision_source,
             platform=journal.platform,
             in_both=held_shares(folder),
+            rows_by_host=dict(hosts.most_common()),
         )
 
 

@@ -109,6 +109,7 @@ def row_report(folder: RunFolder, number: int) -> dict[str, Any]:
         repeats = _trial_fitness(journal, row, behind, plan.trials)
         counts = {"number": number, "rows": journal.count}
         digest, reason = journal.scene, journal.errors().get(number, "")
+        makers = journal.makers(number, number + 1)
     scene, prior = folder.scene(), prior_of(spec)
     eta, error = None, None
     if 0 < plan.trials <= len(repeats):
@@ -120,6 +121,7 @@ def row_report(folder: RunFolder, number: int) -> dict[str, Any]:
         **counts,
         **_row_fields(row, scene, prior),
         "reason": reason,  # of an error
+        "made_by": " on ".join(makers[0][2:]) if makers else None,  # a worker's id and host
         "trials": len(repeats),  # that are recorded
         "eta": eta,  # the estimated probability of transfer, once all trials are there
         "eta_error": error,  # its standard error, for the number of trials alone

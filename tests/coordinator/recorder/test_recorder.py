@@ -54,7 +54,7 @@ def record(recorder: Recorder, run: str, stop: int, platform: dict[str, str]) ->
 
 def journalled(path: Path, run: str) -> bytes:
     with Journal.open(path / "runs" / run) as journal:
-        return journal.rows(0, 1000).tobytes()
+        return journal.slice(0, 1000).rows.tobytes()
 
 
 def open_files() -> int:

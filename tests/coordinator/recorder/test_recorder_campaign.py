@@ -32,7 +32,7 @@ def path(tmp_path: Path) -> Path:
 def recorded(path: Path, run: str) -> bytes:
     with RunFolder.open(path / "runs" / run).journal() as journal:
         assert journal.run == run
-        return journal.rows(0, 10_000).tobytes()
+        return journal.slice(0, 10_000).rows.tobytes()
 
 
 def send_in_turns(coordinator: FakeCoordinator, runs: str, stop: int, first: int = 0) -> None:

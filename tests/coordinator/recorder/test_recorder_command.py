@@ -59,7 +59,7 @@ def test_a_signal_ends_it_with_its_code_and_a_kill_loses_nothing_durable(endpoin
             os.kill(process.pid, number)
             assert process.wait(PATIENCE) == code
     with folder.journal() as journal:
-        assert journal.rows(0, 2000).tobytes() == rows[:1500].tobytes()
+        assert journal.slice(0, 2000).rows.tobytes() == rows[:1500].tobytes()
 
 
 def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(endpoint, router, folder) -> None:
@@ -89,5 +89,5 @@ def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(endpoint, ro
         assert f"`qdgrasp resume {folder.path}` goes on".encode() in said.splitlines()[-1]
     with folder.journal() as journal:
         assert journal.count == durable
-        assert journal.rows(0, 4096).tobytes() == rows[: min(durable, 4096)].tobytes()
+        assert journal.slice(0, 4096).rows.tobytes() == rows[: min(durable, 4096)].tobytes()
         assert len(journal_digest(journal)) == 64

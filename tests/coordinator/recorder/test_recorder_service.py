@@ -86,7 +86,7 @@ class TestRecording:
                 coordinator.send(rows, first, stop)
             coordinator.hears_durable(100)
         with folder.journal() as journal:
-            assert journal.rows(0, 1000).tobytes() == rows.tobytes()
+            assert journal.slice(0, 1000).rows.tobytes() == rows.tobytes()
 
     def test_what_is_not_of_the_protocol_is_dropped(self, network, coordinator, folder) -> None:
         rows = make_rows(10)

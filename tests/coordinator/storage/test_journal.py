@@ -14,7 +14,14 @@ from tests.common import PATIENCE
 from tests.coordinator.recorded_runs import spoil_block
 
 from qdgrasp_coordinator.storage import journal as journal_module
-from qdgrasp_coordinator.storage.journal import Journal, JournalIdentity, JournalSlice
+from qdgrasp_coordinator.storage.journal import (
+    Journal,
+    JournalIdentity,
+    JournalSlice,
+    join_slices,
+    slice_from_message,
+    slice_to_message,
+)
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.outputs import JOURNAL
 from qdgrasp_coordinator.storage.run_folder import journal_digest
@@ -69,7 +76,7 @@ def test_any_page_of_rows_is_that_slice_of_the_journal(tmp_path_factory, first, 
         folder.mkdir()
         record(folder, rows, [7, 1, 50, 62])
     with Journal.open(folder) as journal:
-        assert journal.rows(first, limit).tobytes() == rows[first : first + limit].tobytes()
+        assert journal.slice(first, limit).rows.tobytes() == rows[first : first + limit].tobytes()
 
 
 def test_the_digest_is_of_rows_and_not_of_blocks_or_costs(tmp_path: Path) -> None:
@@ -101,7 +108,7 @@ def test_a_reader_sees_the_journal_as_it_was_when_it_was_opened(tmp_path: Path) 
         writer.append(JournalSlice(0, rows[:10]), 1, 0.0)
         with Journal.open(tmp_path) as early:
             writer.append(JournalSlice(10, rows[10:]), 1, 0.0)
-            assert (early.count, len(early.rows(0, 100))) == (10, 10)
+            assert (early.count, len(early.slice(0, 100).rows)) == (10, 10)
         with Journal.open(tmp_path) as late:
             assert late.count == 20
 
@@ -132,7 +139,7 @@ def test_rows_are_there_after_the_writer_was_killed(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], check=False, timeout=PATIENCE)
     assert done.returncode == -signal.SIGKILL
     with Journal.open(tmp_path) as journal:
-        assert journal.rows(0, 100).tobytes() == make_rows(50).tobytes()
+        assert journal.slice(0, 100).rows.tobytes() == make_rows(50).tobytes()
     with JournalWriter.open(tmp_path) as writer:
         writer.append(JournalSlice(50, make_rows(50)), 1, 0.0)
         assert writer.count == 100
@@ -147,10 +154,10 @@ def test_a_full_disk_takes_nothing_and_what_was_there_stays(tmp_path: Path) -> N
         with pytest.raises(DiskFull, match="no room"):
             journal.append(JournalSlice(100, rows[100:]), 1, 0.0)
         assert journal.count == 100
-        assert journal.rows(0, 5000).tobytes() == rows[:100].tobytes()
+        assert journal.slice(0, 5000).rows.tobytes() == rows[:100].tobytes()
         journal._database.execute("PRAGMA max_page_count = 100000")
         journal.append(JournalSlice(100, rows[100:]), 1, 0.0)
-        assert journal.rows(0, 5000).tobytes() == rows.tobytes()
+        assert journal.slice(0, 5000).rows.tobytes() == rows.tobytes()
 
 
 def test_the_journal_of_a_run_that_has_not_begun_is_empty() -> None:
@@ -165,6 +172,23 @@ def check_refused(folder: Path, words: str) -> None:
     for opener in (Journal.open, JournalWriter.open):
         with pytest.raises(FolderError, match=words):
             opener(folder)
+
+
+def test_who_made_a_row_is_known_after_a_message_parts_and_commits(tmp_path: Path) -> None:
+    rows, makers = make_rows(9), (*["a here"] * 4, *["b there"] * 3, *["a here"] * 2)
+    whole = JournalSlice(0, rows, makers=makers)
+    came = slice_from_message(slice_to_message(whole, "run", 1, SHAPE), SHAPE)
+    parts = [came.part(0, 3), join_slices([came.part(3, 5), came.part(5, 9)])]
+    with JournalWriter.create(tmp_path, IDENTITY) as journal:
+        for part in parts:
+            journal.append(part, 1, 0.0)
+        assert journal.makers() == [
+            (0, 3, "a", "here"),
+            (3, 1, "a", "here"),
+            (4, 3, "b", "there"),
+            (7, 2, "a", "here"),
+        ]
+        assert journal.makers(5, 6) == [(4, 3, "b", "there")]
 
 
 class TestRefusals:
@@ -186,9 +210,9 @@ class TestRefusals:
         record(tmp_path, make_rows(100), [50, 50])
         spoil_block(tmp_path / JOURNAL, 0)
         with Journal.open(tmp_path) as journal:
-            assert len(journal.rows(50, 50)) == 50
+            assert len(journal.slice(50, 50).rows) == 50
             with pytest.raises(FolderError, match="rows 0 to 49 are not what was recorded"):
-                journal.rows(10, 1)
+                journal.slice(10, 1)
 
     def test_a_missing_block_is_said_to_be_damage(self, tmp_path: Path) -> None:
         record(tmp_path, make_rows(30), [10, 10, 10])

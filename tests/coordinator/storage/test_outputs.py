@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from qdgrasp_coordinator.storage.outputs import OutFile, OutFolder, Output
+from qdgrasp_coordinator.storage.job_folder import hold_lock
+from qdgrasp_coordinator.storage.outputs import JOB, LOCK, OutFile, OutFolder, Output, replace
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import OutputError
 from qdgrasp_protocol.spec import run_spec
@@ -146,3 +147,14 @@ def test_a_folder_of_the_kind_is_replaced_by_force_alone_and_as_a_whole(tmp_path
     with forced.writing() as made:
         fill(made, OutFolder)
     assert there(tmp_path) == ["out", "out/inside"]
+
+
+def test_no_link_in_a_folder_leads_to_a_file_that_is_written(tmp_path: Path) -> None:
+    (mine := tmp_path / "mine").write_text("precious")
+    for name in (LOCK, f"{JOB}.part"):
+        (tmp_path / name).symlink_to(mine)
+    replace(tmp_path / JOB, b"{}")
+    with pytest.raises(OutputError), hold_lock(tmp_path):
+        pass
+    assert mine.read_text() == "precious"
+    assert {path.name for path in tmp_path.iterdir()} == {"mine", LOCK, JOB, f"{JOB}.part"}

@@ -1,5 +1,5 @@
 PRAGMA application_id = 1902405490;
-PRAGMA user_version = 1;
+PRAGMA user_version = 2;
 PRAGMA page_size = 4096;
 PRAGMA journal_mode = wal;
 CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT, WITHOUT ROWID;
@@ -18,6 +18,12 @@ CREATE TABLE blocks (
                                -- and so on, deflated (zlib)
 ) STRICT;
 CREATE TABLE errors (row INTEGER PRIMARY KEY, reason TEXT NOT NULL) STRICT;
+CREATE TABLE makers (
+    first INTEGER PRIMARY KEY, -- number of the first of some rows that one worker made
+    n INTEGER NOT NULL,
+    worker TEXT NOT NULL,      -- its id, new at every start
+    host TEXT NOT NULL
+) STRICT;
 -- meta: created
 -- meta: package
 -- meta: run

@@ -66,7 +66,7 @@ def test_a_run_without_a_grasp_has_nothing_to_score_again(source: RunFolder, tmp
 
 def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) -> None:
     with source.journal() as journal:
-        chosen: Rows = journal.rows(0, 3)
+        chosen: Rows = journal.slice(0, 3).rows
     spec = rerank_spec(source, chosen, None, protocol="robust", trials=10)
     check_spec(spec)
     assert spec.grasps is None

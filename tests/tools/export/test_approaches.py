@@ -84,7 +84,7 @@ def test_the_way_begins_behind_the_commanded_pose(made: RunFolder) -> None:
 
 def test_a_reranking_takes_those_that_are_reachable(made: RunFolder) -> None:
     with made.journal() as journal:
-        rows = journal.rows(0, journal.count)
+        rows = journal.slice(0, journal.count).rows
     assert reachable_grasps(made, rows, WAY)["index"].tolist() == [ABOVE, BELOW, LEVEL, UPRIGHT]
     with pytest.raises(InputError, match="comes to no grasp"):
         reachable_grasps(made, rows[[AWAY]], WAY)
