@@ -31,6 +31,7 @@ from qdgrasp_protocol.errors import (
     EXTRAS,
     EndedEarly,
     EndpointError,
+    ImpossibleValue,
     InputError,
     MessageError,
     check_packages,
@@ -43,6 +44,7 @@ from qdgrasp_protocol.spec import DEVICE_ENGINE, DEVICE_VARIABLE, RunSpec, check
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import ProgressDisplay
 
+WORKERS_PER_CORE = 4  # The most workers that are started here: more take memory, and no row comes sooner
 LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
 SESSION_SECONDS = 2.0  # seconds that one try to open a session at the coordinator may take
 
@@ -60,6 +62,10 @@ class LocalJobConfig:
     """Listen also where strangers get to."""
     seconds: float | None = None
     """After so long the job ends, done or not; None: when it is done."""
+
+    def __post_init__(self) -> None:
+        if self.workers > (most := WORKERS_PER_CORE * (os.cpu_count() or 1)):
+            raise ImpossibleValue("workers", self.workers, f"at most {most}, {WORKERS_PER_CORE} a core")
 
     @property
     def security_flags(self) -> list[str]:
