@@ -59,7 +59,7 @@ def test_its_script_lifts_most_grasps_of_a_jaw_in_plain_mujoco(mug, tmp_path, fr
 def test_fingers_of_other_hands_close_in_its_script_as_they_did(evaluated_run, tmp_path) -> None:
     export_grasps(evaluated_run, tmp_path / "bundle", "bundle", GraspChoice(min_fitness=2, top=10))
     up, tried = lifted(tmp_path / "bundle", tmp_path, 10)
-    assert up >= tried / 3
+    assert up >= tried / 2
 
 
 def test_the_hand_and_the_object_lie_beside_the_grasps(mug, tmp_path) -> None:
