@@ -238,10 +238,11 @@ def table_lines() -> Iterator[str]:
 
 def draw(file: Path = FIGURE) -> None:
     """Draw both counts over CPU seconds: geometric means over scenes of medians over seeds."""
-    figure, panels = plt.subplots(2, len(GROUPS), figsize=(11, 6.5), layout="constrained", squeeze=False)
+    groups = {words: scenes for group, words in GROUPS.items() if (scenes := scenes_of(group))}
+    size = (1 + 3.3 * len(groups), 6.5)
+    figure, panels = plt.subplots(2, len(groups), figsize=size, layout="constrained", squeeze=False)
     names = list(PLAN["methods"])
-    for (group, words), column in zip(GROUPS.items(), panels.T, strict=True):
-        scenes = scenes_of(group)
+    for (words, scenes), column in zip(groups.items(), panels.T, strict=True):
         for (count, label), panel in zip(COUNTS.items(), column, strict=True):
             for place, name in enumerate(names):
                 have = [rows for rows in scenes.values() if any(row["method"] == name for row in rows)]
