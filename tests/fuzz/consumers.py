@@ -121,7 +121,10 @@ def seeds() -> dict[str, bytes]:
     known: dict[type[Message], dict[str, Any]] = {
         messages.Work: {"n": ROWS, "columns": pack(rows, LEASED)} | genes,
         messages.Result: {"columns": deflated(pack(rows, RESULT))} | sizes | failed,
-        messages.Recordable: {"columns": deflated(pack(rows, COLUMNS))} | sizes | genes | failed,
+        messages.Recordable: {"columns": deflated(pack(rows, COLUMNS)), "makers": [(ROWS, "a here")]}
+        | sizes
+        | genes
+        | failed,
         messages.SuccessPage: {"n": ROWS, "columns": deflated(pack(drawn, found.SUCCESS_COLUMNS))} | widths,
         messages.Open: {"runs": [open_run(spec=SPEC)]},
         Build: {"task": SHAPE_TASK},

@@ -52,7 +52,6 @@ def test_a_misspelt_key_in_a_spec_is_named(qdgrasp):
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
-        ((), ["--mass"]),
         (("--mass", "0.3", "--object", "large.stl"), ["millimetre"]),
         (("--mass", "0"), ["mass must be a number greater than 0", "got 0.0"]),
         (("--mass", "1", "--units", "mm"), ["5e-05 x 6e-05 x 7e-05 m", "smaller than what a hand grasps"]),

@@ -308,14 +308,19 @@ def score_again(
 ) -> None:
     """Score the best grasps of a run again in a new one; `asked` are keys of its spec.
 
-    Of more `candidates` than `top` those are scored that are the best in few trials.
+    Of more `candidates` than `top`, spread evenly from little motion to much, those are scored that are
+    the best in few trials.
     """
     RunFolder.check_free(out)
     found = _grasps_of(source, limits)
     if ways := {key: asked[key] for key in ("approach_distance", "resting_pose") if key in asked}:
         found = source_runs.reachable_grasps(source, found, **ways)
     kinds = source_runs.kinds_of_run(source.spec, found, genome_reader(source))
-    chosen = source_runs.best_of_kinds(found, max(top, candidates or top), kinds)
+    chosen = source_runs.best_of_kinds(found, len(found), kinds)
+    if top < (count := min(candidates or top, len(chosen))):  # trials choose: from all motions alike
+        chosen = chosen[np.linspace(0, len(chosen) - 1, count).round().astype(np.intp)]
+    else:
+        chosen = chosen[:top]
     spec = source_runs.rerank_spec(source, chosen, **asked)
     prepared = build_scene_of(spec, config, source.scene())
     is_seated = np.isin(chosen["index"], source.spec.reseated or ())

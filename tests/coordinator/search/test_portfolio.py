@@ -125,8 +125,8 @@ class TestWorthATry:
 
     def test_a_grip_whose_grasps_found_nothing_new_promises_less_of_it_than_one_unknown(self) -> None:
         grips = Explored()
-        grips.count_tries(np.array([1, 1, 1, 1]))
-        grips.hold(np.array([1, 1, 1, 1]))
+        grips.count_tries(np.repeat([1, 3], [60, 40]))
+        grips.hold(np.ones(60, np.int64))
         grips.found[1] += 1
         (known, unknown), (known_finds, unknown_finds) = grips.chances(np.array([1, 2]))
         assert known > unknown

@@ -13,12 +13,11 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from starlette.testclient import TestClient
 from tests.common import PATIENCE
-from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.recorded_runs import random_rows, record, success_mask
 from tests.tools.monitor.web.conftest import HERE, STEP, FakeFeed, client, serving
 from tests.tools.monitor.web.test_scene_data import read as read_page
 
 from qdgrasp_coordinator.metrics.cells import cells
-from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_protocol.errors import EndpointError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_tools.monitor.records import FolderIndex

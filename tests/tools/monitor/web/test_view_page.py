@@ -6,11 +6,10 @@ from typing import Any
 import pytest
 from tests import browser
 from tests.browser import PHONE, expect
-from tests.coordinator.recorded_runs import random_rows, record
+from tests.coordinator.recorded_runs import random_rows, record, success_mask
 from tests.coordinator.scenes import made_scene
 from tests.tools.monitor.web.conftest import serving_routes
 
-from qdgrasp_coordinator.metrics.run_stats import success_mask
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_tools.monitor.records import FolderIndex
 from qdgrasp_tools.monitor.web.server import folder_routes
