@@ -73,15 +73,15 @@ def reachable_grasps(
     return rows
 
 
-def best_of_kinds(rows: Rows, most: int, kinds: NDArray[np.int64] | None = None) -> Rows:
-    """Return the best row of each kind, and of these the `most` best, best first.
+def best_of_kinds(rows: Rows, kinds: NDArray[np.int64] | None = None) -> Rows:
+    """Return the best row of each kind, best first.
 
     `kinds` (n,) are equal for rows of a kind; None: their 1 cm cells. `best_first` orders rows.
     """
     kinds = cell_keys(cells(rows["descriptor"][:, :3])) if kinds is None else kinds
     order = best_first(rows)
     _, first = np.unique(kinds[order], return_index=True)
-    return rows[order[np.sort(first)]][:most]
+    return rows[order[np.sort(first)]]
 
 
 def kinds_of_run(spec: RunSpec, rows: Rows, reader: GenomeReader) -> NDArray[np.int64] | None:

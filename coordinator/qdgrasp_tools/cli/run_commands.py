@@ -316,11 +316,10 @@ def score_again(
     if ways := {key: asked[key] for key in ("approach_distance", "resting_pose") if key in asked}:
         found = source_runs.reachable_grasps(source, found, **ways)
     kinds = source_runs.kinds_of_run(source.spec, found, genome_reader(source))
-    chosen = source_runs.best_of_kinds(found, len(found), kinds)
+    chosen = source_runs.best_of_kinds(found, kinds)
     if top < (count := min(candidates or top, len(chosen))):  # trials choose: from all motions alike
         chosen = chosen[np.linspace(0, len(chosen) - 1, count).round().astype(np.intp)]
-    else:
-        chosen = chosen[:top]
+    chosen = chosen[: max(top, count)]
     spec = source_runs.rerank_spec(source, chosen, **asked)
     prepared = build_scene_of(spec, config, source.scene())
     is_seated = np.isin(chosen["index"], source.spec.reseated or ())
