@@ -20,7 +20,7 @@ from qdgrasp_coordinator.metrics.cells import (
     without_orientation,
     without_synergy,
 )
-from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet, ReleasedArchive
+from qdgrasp_coordinator.metrics.reference_coverage import ReferenceSet
 from qdgrasp_coordinator.metrics.successes import NO_TRIALS, Successes, TrialPlan, eta_error
 from qdgrasp_protocol.rows import Outcome, Rows
 
@@ -88,13 +88,6 @@ def reference_growth(
     reached = cell_keys(cells(found.rows["base_to_object"][chosen][:, :3]))
     new = first_occurrences(reached) & np.isin(reached, cell_keys(reference.cells))
     return step_series(found.evaluations[chosen], new)
-
-
-def released_growth(found: Successes, reference: ReferenceSet, archive: ReleasedArchive) -> StepSeries:
-    """Elites of the released code's archive in a set: each counts, and may be displaced."""
-    positions = found.rows["base_to_object"][:, :3]
-    shared = np.isin(cell_keys(cells(positions)), cell_keys(reference.cells))
-    return step_series(found.evaluations, archive.gains(positions, found.rows["fitness"], shared))
 
 
 NU_BINS = 24  # Bins of nu from 0 to pi, 7.5 degrees each: six of them reach to pi / 4

@@ -158,7 +158,6 @@ def _run_columns(run: RunHistory) -> dict[str, Value]:
         "robust_cells": run.robust_cells.end,
         "qd_score": run.qd_score,
         "coverage": run.found.end / size if run.found and size else None,
-        "published_coverage": run.published.end / size if run.published and size else None,
         "robust_coverage": run.robust_found.end / robust if run.robust_found and robust else None,
         "nu_below_quarter_pi": run.nu.below_quarter_pi,
         "eta": run.eta.mean if run.eta else None,

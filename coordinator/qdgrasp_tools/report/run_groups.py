@@ -24,7 +24,6 @@ from qdgrasp_coordinator.metrics.success_metrics import (
     SuccessMetrics,
     cell_growth,
     reference_growth,
-    released_growth,
 )
 from qdgrasp_coordinator.metrics.successes import TrialPlan, find_successes, join_successes
 from qdgrasp_coordinator.search import registry
@@ -55,8 +54,6 @@ class RunHistory:
     """Distinct entries of the reference set."""
     robust_found: StepSeries | None
     """Entries of fitness 2, found by robust successes."""
-    published: StepSeries | None
-    """Entries as the released code counts them; None for a hand that it does not have."""
     qd_score: float
     nu: NuSummary
     eta: EtaSummary | None
@@ -96,7 +93,7 @@ def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
         )
     metrics = SuccessMetrics(plan)
     metrics.add(found)
-    known, archive = target.reference, target.archive
+    known = target.reference
     return RunHistory(
         path=folder.path,
         spec=spec,
@@ -106,7 +103,6 @@ def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
         robust_cells=cell_growth(found, Outcome.HELD),
         found=None if known is None else reference_growth(found, known),
         robust_found=None if known is None else reference_growth(found, known.robust, Outcome.HELD),
-        published=None if known is None or archive is None else released_growth(found, known, archive),
         qd_score=metrics.qd_score,
         nu=metrics.nu,
         eta=metrics.eta,

@@ -5,53 +5,31 @@ import pytest
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
 
-from qdgrasp_coordinator.metrics.reference_coverage import (
-    CoverageTarget,
-    ReferenceSet,
-    ReleasedArchive,
-)
-from qdgrasp_coordinator.metrics.success_metrics import StepSeries, reference_growth, released_growth
+from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceSet
+from qdgrasp_coordinator.metrics.success_metrics import StepSeries, reference_growth
 from qdgrasp_coordinator.metrics.successes import all_successes
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_tools.report.run_groups import RunHistory, read_history
 
 GRID = np.stack(np.meshgrid(*[np.arange(-4, 3)] * 3), axis=-1).reshape(-1, 3).astype(np.int64)
 KNOWN = ReferenceSet("block", GRID, (np.arange(len(GRID)) % 3).astype(np.uint8))
-ARCHIVE = ReleasedArchive(np.array([-0.083, -0.081, -0.079]), 0.1512)
-"""An archive whose cells differ from the rounding, so that two elites may share an entry."""
 
 
 def told(tmp_path: Path, rows: Rows, **settings: object) -> RunHistory:
     folder = record(tmp_path / "run", made_scene(), rows, **settings)
-    return read_history(folder, CoverageTarget(KNOWN, ARCHIVE))
+    return read_history(folder, CoverageTarget(KNOWN))
 
 
-def growth(
-    rows: Rows, known: ReferenceSet = KNOWN, archive: ReleasedArchive = ARCHIVE
-) -> tuple[StepSeries, ...]:
-    """Return entries that were found, robust ones, and elites as the released code counts them."""
+def growth(rows: Rows) -> tuple[StepSeries, StepSeries]:
+    """Return entries that were found, and robust ones."""
     whole = all_successes(rows)
-    return (
-        reference_growth(whole, known),
-        reference_growth(whole, known.robust, Outcome.HELD),
-        released_growth(whole, known, archive),
-    )
+    return reference_growth(whole, KNOWN), reference_growth(whole, KNOWN.robust, Outcome.HELD)
 
 
 @pytest.mark.parametrize("n", [0, 1, 37, 150, 600])
 def test_a_curve_is_at_each_place_what_the_rows_up_to_there_give(n: int) -> None:
     rows = random_rows(600, seed=3, reach=0.05)
     assert [int(curve.after(n)) for curve in growth(rows)] == [curve.end for curve in growth(rows[:n])]
-
-
-def test_the_released_count_takes_two_elites_that_round_to_one_position() -> None:
-    """Its bins are 10.03 mm wide and not aligned with the rounding: an edge is at 10.52 mm."""
-    rows = random_rows(4)
-    rows["outcome"], rows["fitness"] = [Outcome.DROPPED, Outcome.DROPPED, Outcome.HELD, Outcome.HELD], 0
-    rows["base_to_object"][:, :3] = np.array([(0.8, 0, 0), (1.2, 0, 0), (2.2, 0, 0), (9, 0, 0)]) / 100
-    known = ReferenceSet("cube", np.array([(1, 0, 0), (2, 0, 0), (-4, 5, 6)]), np.array([2, 2, 2], np.uint8))
-    curves = growth(rows, known, ReleasedArchive(np.full(3, -0.14), 0.291))
-    assert [curve.end for curve in curves] == [2, 1, 3]
 
 
 def test_overlaps_are_no_evaluations_where_they_are_redrawn(tmp_path: Path) -> None:
