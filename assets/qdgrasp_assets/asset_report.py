@@ -5,8 +5,6 @@ file that would be guessed for it. All faults are listed in the report, in words
 """
 
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -23,7 +21,7 @@ from qdgrasp_assets.geometry.mesh_io import scale_in_words
 from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes
 from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import POINTS_PER_METRE
-from qdgrasp_assets.gripper_setup.draft import DraftOverrides, GripperDraft, draft_gripper
+from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, posture_faults, posture_notes
 from qdgrasp_assets.gripper_setup.repaired_copy import hollow_meshes, with_visual_shapes
 from qdgrasp_assets.grippers.gripper import Gripper
@@ -218,9 +216,6 @@ def _without_rounding(values: Floats) -> Floats:
     return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
 
 
-NO_OVERRIDES = DraftOverrides()
-
-
 class GripperReport(AssetReport, frozen=True, kw_only=True):
     """Result of the examination of a hand."""
 
@@ -279,9 +274,7 @@ def examine(path: Path, name: str) -> GripperReport:
     return GripperReport(name=name, faults=faults) if robot is None else examine_hand(robot, file, name)
 
 
-def examine_urdf(
-    urdf: Path, name: str, overrides: DraftOverrides = NO_OVERRIDES
-) -> tuple[GripperReport, Gripper | None]:
+def examine_urdf(urdf: Path, name: str) -> tuple[GripperReport, Gripper | None]:
     """Examine a URDF or MJCF file with the file guessed for it; and a gripper to draw.
 
     It may have links without masses, and visual shapes where no link that moves has others. None where
@@ -292,23 +285,15 @@ def examine_urdf(
         robot, faults, notes = read_hand(urdf)
         if robot is None:
             return msgspec.structs.replace(report, faults=faults), None
-        base = overrides.base_link or guess_base(robot)[0]
-        overrides, shown = replace(overrides, base_link=base), with_visual_shapes(robot)
-        if base in robot.links and (faults := hand_faults(robot.subtree(base))):
-            drawn = None
-            with suppress(QdgraspError, ValueError):  # already reported
-                drawn, _ = _drafted(shown, urdf, name, overrides)
-            return msgspec.structs.replace(report, faults=faults), drawn
-        gripper, draft = _drafted(shown, urdf, name, overrides)
+        base, shown = guess_base(robot)[0], with_visual_shapes(robot)
+        if faults := hand_faults(robot.subtree(base)):
+            return msgspec.structs.replace(report, faults=faults), None
+        draft = draft_gripper(shown, str(urdf), DraftOverrides(base_link=base))
         found = examine_hand(robot, draft.file, name, draft.warnings)
     except QdgraspError as error:
         return msgspec.structs.replace(report, faults=(str(error).rstrip("."),)), None
+    gripper = Gripper(name, urdf.name, draft.file, shown)
     return msgspec.structs.replace(found, notes=(*notes, *found.notes)), gripper
-
-
-def _drafted(robot: Urdf, urdf: Path, name: str, overrides: DraftOverrides) -> tuple[Gripper, GripperDraft]:
-    draft = draft_gripper(robot, str(urdf), overrides)
-    return Gripper(name, urdf.name, draft.file, robot), draft
 
 
 def read_hand(path: Path) -> tuple[Urdf | None, tuple[str, ...], tuple[str, ...]]:

@@ -152,14 +152,7 @@ def read_scan(name: str, protocol: str) -> ObjectModel:
 
 def _reference_entry(folder: Path) -> ReferenceEntry:
     index = folder.parent / "objects.json"
-    try:
-        return convert(json.loads(index.read_text(encoding="utf-8"))[folder.name], ReferenceEntry)
-    except OSError as error:
-        raise AssetError(
-            f"No table of the scans can be read at '{index}': {error.strerror or error}."
-        ) from None
-    except (ValueError, KeyError, RecursionError) as error:
-        raise AssetError(f"'{index}' does not describe '{folder.name}': {error}.") from None
+    return convert(json.loads(index.read_text(encoding="utf-8"))[folder.name], ReferenceEntry)
 
 
 def check_there(name: str) -> None:

@@ -362,7 +362,7 @@ def read_run_spec(path: Path, most: int = MAX_TOML_SIZE) -> dict[str, Any]:
     It may have `most` characters.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"No spec can be read at '{path}': {getattr(error, 'strerror', error)}.") from None
     return parse_toml(text, str(path), most)

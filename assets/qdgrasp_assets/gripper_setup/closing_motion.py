@@ -267,8 +267,12 @@ PAD = 0.35  # Share of the fingers' reach, from the tips on, over which inner si
 
 
 def grasp_centre(closing: ClosingMotion) -> Floats:
-    """Return the middle of the fingertips of the half closed hand (3,) [m], base link's frame."""
-    centre: Floats = np.mean([closing.tips(share).mean(axis=0) for share in HALF_CLOSED], axis=0)
+    """Return the middle of the fingertips of the half closed hand (3,) [m], base link's frame.
+
+    That of a single finger is half-way to where it is closed on the palm.
+    """
+    shares = HALF_CLOSED if len(closing.fingers) > 1 else (*HALF_CLOSED, 1.0, 1.0)
+    centre: Floats = np.mean([closing.tips(share).mean(axis=0) for share in shares], axis=0)
     return centre
 
 
@@ -288,6 +292,8 @@ def closing_way(closing: ClosingMotion) -> tuple[Floats, str]:
     if normal is not None:
         return normal, "the side of the palm to which the fingers beside the thumb bend"
     roots = np.mean([finger_root(closing.body, finger) for finger in closing.fingers], axis=0)
+    if len(closing.fingers) == 1:
+        return closing.tips(1.0)[0] - roots, "along the only finger, closed on the palm"
     outward = grasp_centre(closing) - roots
     # the links on which the fingers hang; where these have no shapes, the whole palm
     parents = {closing.body.joint(finger.joints[0]).parent for finger in closing.fingers}

@@ -23,6 +23,7 @@ from qdgrasp_assets.gripper_setup.closing_motion import (
     ClosingMotion,
     Posture,
     mix,
+    palm_links,
 )
 from qdgrasp_assets.grippers.hand_model import (
     Finger,
@@ -51,9 +52,9 @@ ONE_SIDED = 2.0  # A finger curls to the side on which its joints turn by more t
 LEAST_CURL = np.radians(40.0)  # Least turn of the fingertip by which a finger curls
 ROUNDS = 2  # Times that each finger is improved while the others stay
 STAYS_REASON = "does not close"
-OPPOSES_REASON = "does not close; here the thumb meets the other fingertips face to face, clear of the palm"
-NEAREST_REASON = "does not close; here the fingertips come nearest to each other as the hand closes"
-SPREAD_REASON = "does not close; half-way, as at zero the finger would close through its neighbours"
+TURNED_REASON = (
+    "does not close; here the fingertips meet best as the hand closes, clear of what is beside them"
+)
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,14 @@ class ClosingSearch:
         return self.body.robot.forward(self.body.with_followers(course))
 
     def _distances(self, tips: list[Floats]) -> Floats:
-        """Return the weighted sum of distances (k, s) [m] between fingertips, and to the roots."""
+        """Return the weighted sum of distances (k, s) [m] between fingertips, and to the roots.
+
+        A single finger closes on the palm: its tip's distance to the shapes of the palm is taken.
+        """
+        if len(tips) == 1 and (palm := palm_links(self.body)):
+            hulls = [part for parts in self.body.parts_at({}, palm).values() for part in parts]
+            heights = [tips[0] @ hull.planes[:, :3].T + hull.planes[:, 3] for hull in hulls]
+            return np.asarray(np.min([each.max(axis=-1) for each in heights], axis=0).clip(0.0))
         between = [np.linalg.norm(one - other, axis=-1) for one, other in combinations(tips, 2)]
         inward = [ROOT_WEIGHT * np.linalg.norm(tip - self._roots, axis=-1) for tip in tips]
         arrays = np.broadcast_arrays(*between, *inward, np.zeros((1, len(COURSE))))
@@ -283,14 +291,9 @@ class ClosingSearch:
         chosen = best if best.badness < same.badness - MUCH_NEARER else same
         self.choices[number] = chosen.choice
         self.resting |= chosen.resting
-        self.reasons |= {name: self._reason(number, name) for name in chosen.resting}
-
-    def _reason(self, number: int, name: str) -> str:
-        if self.resting[name] == 0:
-            return STAYS_REASON
-        if self._is_in_row(number):
-            return SPREAD_REASON
-        return OPPOSES_REASON if self._is_thumb(number) else NEAREST_REASON
+        self.reasons |= {
+            name: TURNED_REASON if place else STAYS_REASON for name, place in chosen.resting.items()
+        }
 
     def _is_in_row(self, number: int) -> bool:
         """Return whether a finger turns like others, beside some that do not."""
@@ -388,17 +391,25 @@ def group_posture(body: HandModel, group: JointGroup, share: float) -> Posture:
 def open_position(body: HandModel, name: str, closed: float) -> float:
     """Return the open position: the other limit, or zero for a revolute joint where it is near."""
     low, high = body.range(name)
-    other = low if closed == high else high
+    other = low if closed > (low + high) / 2 else high
     is_rest = body.joint(name).kind != "prismatic" and low < 0 < high
     is_near = abs(other) <= NEAR_ZERO * (high - low) or np.isclose(low, -high)
     return 0.0 if is_rest and is_near else other
 
 
 def _groups(body: HandModel, fingers: tuple[Finger, ...], leaders: Iterable[str]) -> Iterable[JointGroup]:
-    """Yield the groups of leading joints, finger by finger, by their outermost joints."""
+    """Yield the groups of leading joints, finger by finger, by their outermost joints.
+
+    A leader that carries no finger, as a motor, is a group of the first finger that follows it.
+    """
     axes = _joint_axes(body, leaders)
     turning = {name for name in axes if body.joint(name).kind != "prismatic"}
+    carrying = {name for finger in fingers for name in finger.joints}
     for finger in fingers:
+        followed = dict.fromkeys(map(body.leader, finger.joints))
+        motors = [name for name in followed if name in axes and name not in carrying]
+        carrying.update(motors)
+        yield from (JointGroup(finger, (name,), (1.0,)) for name in motors)
         left = [name for name in finger.joints if name in axes]
         found = []
         while left:

@@ -30,6 +30,7 @@ from qdgrasp_assets.grippers.hand_model import (
     read_hand_model,
 )
 from qdgrasp_assets.grippers.urdf import MOST_NAMED, Urdf
+from qdgrasp_assets.grippers.urdf_checks import bare_links
 from qdgrasp_assets.scene import Jaw, Synergy, Vector, vector
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.text import counted, first_few, join_numbers
@@ -138,7 +139,6 @@ def draft_gripper(robot: Urdf, urdf: str, overrides: DraftOverrides) -> GripperD
         free_joints=free,
         jaw=jaw,
         ratings_source="the URDF's limits, not compared with a data sheet",
-        original_base=original_base(base, robot),
     )
     file = structs.replace(file, disabled_collisions=overlapping_pairs(HandPostures(file, body)))
     licence_advice = "" if overrides.licence else ", so state it"
@@ -167,14 +167,17 @@ def _check_names(body: HandModel, overrides: DraftOverrides) -> None:
     for link in overrides.finger_roots:
         if link not in beyond:
             raise UnknownName("link beyond the base link", link, beyond)
-    for name in (*overrides.opened, *overrides.closed, *overrides.not_closing):
-        if name not in body.moving:
-            raise UnknownName("moving joint", name, body.moving)
-    for label, positions in (("open", overrides.opened), ("closed", overrides.closed)):
-        for joint, position in ((body.joint(name), position) for name, position in positions.items()):
-            if not joint.allows(position):
+    still = dict.fromkeys(overrides.not_closing, 0.0)
+    for flag, told in (("open", overrides.opened), ("closed", overrides.closed), ("not-closing", still)):
+        for name, position in told.items():
+            if name not in body.moving:
+                raise UnknownName("moving joint", name, body.moving)
+            if (leader := body.leader(name)) != name:
+                raise AssetError(f"The joint '{name}' follows '{leader}': give --{flag} for '{leader}'.")
+            joint = body.joint(name)
+            if told is not still and not joint.allows(position):
                 within = f"within the limits {joint.lower:g} to {joint.upper:g} of that joint"
-                raise ImpossibleValue(f"{label} {joint.name}", position, within)
+                raise ImpossibleValue(f"{flag} {name}", position, within)
 
 
 CENTRE = "_centre"  # Suffix of the name of an added base link
@@ -286,6 +289,8 @@ def _warnings(closing: ClosingMotion, axis: Floats, told: Collection[str]) -> It
                 f"{1000 * max(lengths):.0f} mm: if it is no finger, name the links that begin the others, "
                 "each with --finger LINK"
             )
+    if bare := ", ".join(bare_links(closing.body.robot.element)):
+        yield f"links with visual shapes alone, through which objects pass: {bare}; --repair takes those"
     if against := ", ".join(contradicted_limits(closing.body.robot)):
         yield f"limits that mostly forbid what <mimic> asks: {against}; --repair takes those of the <mimic>"
     if "approach_axis" not in told and np.abs(axis).max() < 1 - 1e-9:
@@ -307,10 +312,6 @@ def _idle_fingers(closing: ClosingMotion) -> Iterator[str]:
 
 
 LINE_WIDTH = 108
-ORIGINAL_BASE_REASON = (
-    "the base link of the maker's URDF, in the frame of base_link [m]; exports give it, so that grasps can "
-    "be used with that URDF"
-)
 TOML_HEAD = """\
 Guessed by `qdgrasp gripper new` from '{urdf}': look at each line, and correct the wrong ones.
 Meaning of the keys: docs/grippers.md.
@@ -329,8 +330,6 @@ def draft_toml(draft: GripperDraft, name: str) -> str:
     for key in PLAIN_KEYS:
         comment = _comment(reasons[key] + KEY_UNITS.get(key, ""))
         lines += ["", *comment, f"{key} = {_value(getattr(file, key))}"]
-    if file.original_base is not None:
-        lines += ["", *_comment(ORIGINAL_BASE_REASON), "[original_base]", *_table(file.original_base)]
     if file.jaw is not None:
         lines += ["", *_comment(reasons["jaw"]), "[jaw]", *_table(file.jaw)]
     for joint, table in file.joints.items():

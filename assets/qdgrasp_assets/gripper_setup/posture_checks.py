@@ -12,7 +12,6 @@ from qdgrasp_assets.geometry.voxels import Hull
 from qdgrasp_assets.gripper_setup import closing_motion
 from qdgrasp_assets.gripper_setup.closing_motion import (
     CLOSING_TIME,
-    CROSSED,
     DEEP_OVERLAP,
     ClosingMotion,
     interpolate_posture,
@@ -20,7 +19,7 @@ from qdgrasp_assets.gripper_setup.closing_motion import (
 from qdgrasp_assets.grippers.gripper_file import NOTHING_CLOSES, GripperFile
 from qdgrasp_assets.grippers.hand_model import HandModel, depth, find_fingers
 from qdgrasp_assets.scene import unit_vector
-from qdgrasp_protocol.text import counted, join_numbers
+from qdgrasp_protocol.text import join_numbers
 
 LOOKS_AWAY = np.radians(100.0)  # Angle to the fingers from which an approach axis points away from them [rad]
 NEARER = 0.97  # A hand closes if its fingertips come to at most this share of their distance
@@ -162,7 +161,6 @@ def approach_angle(hand: HandPostures) -> float:
 AXIS_OFF = np.radians(35.0)  # Angle between approach axis and fingers from which it is noted [rad]
 PALM_OFF, STANDOFF_OFF, JAW_OFF = 0.03, 0.02, 0.015
 """Tolerances of palm_offset, stand-off and jaw opening against the shapes [m]."""
-CLOSING_COURSE = np.linspace(0.0, 1.0, 21)  # Shares of the way at which fingers are checked for crossing
 SLOW = 1.05  # A joint is too slow if it needs more than this multiple of the closing time
 
 
@@ -199,39 +197,18 @@ def _jaw_notes(hand: HandPostures) -> Iterator[str]:
     jaw = hand.file.jaw
     if across is None or (gap := closing_motion.jaw_opening(hand.closing, hand.axis, across)) <= 0:
         return
-    axis = join_numbers(across)
-    if jaw is None:
+    is_along = jaw is not None and abs(across @ unit_vector(jaw.axis)) >= np.cos(AXIS_OFF)
+    if jaw is None or not is_along or abs(gap - jaw.opening) > JAW_OFF:
         yield (
-            f"two fingers that oppose each other and no [jaw]: with axis = [{axis}], opening = {gap:.4g} "
-            "it could use antipodal methods"
+            "two fingers oppose each other, for antipodal methods by their shapes with [jaw] "
+            f"axis = [{join_numbers(across)}], opening = {gap:.4g}"
         )
-    elif abs(across @ unit_vector(jaw.axis)) < np.cos(AXIS_OFF):
-        yield f"jaw.axis is [{join_numbers(jaw.axis)}], and the fingers oppose each other along [{axis}]"
-    elif abs(gap - jaw.opening) > JAW_OFF:
-        yield f"jaw.opening is {jaw.opening:g} m, and between the shapes of the open fingers are {gap:.4g} m"
 
 
 def _closing_notes(hand: HandPostures) -> Iterator[str]:
-    file, touching = hand.file, set(hand.file.finger_links)
-    crossed = []  # finger links that overlap when closed and not when open
-    for finger, another in combinations(hand.closing.fingers, 2):
-        for one, other in product(finger.links, another.links):
-            deep = depth_at(hand, one, other, 1.0) if {one, other} <= touching else 0.0
-            if deep >= CROSSED and depth_at(hand, one, other, 0.0) < DEEP_OVERLAP:
-                crossed.append((deep, one, other))
-    if crossed:
-        deep, one, other = max(crossed)
-        meets = next(share for share in CLOSING_COURSE if depth_at(hand, one, other, share) >= DEEP_OVERLAP)
-        more = f" (and {counted(len(crossed) - 1, 'other pair')} of links)" if len(crossed) > 1 else ""
-        yield (
-            f"the fingers close through each other: '{one}' and '{other}', which are apart when open, meet "
-            f"at {100 * meets:.0f} % of the way and end {1000 * deep:.0f} mm in each other{more}; the "
-            "simulator lets them, so that they may hold thin objects as no real hand can: close them less "
-            "far (--closed), or leave that to `qdgrasp gripper new`, which stops fingers where they meet"
-        )
     late = []
     for name, closed in hand.closing.closed.items():
-        table, joint = file.joints[name], hand.body.joint(name)
+        table, joint = hand.file.joints[name], hand.body.joint(name)
         velocity = joint.velocity if table.velocity is None else table.velocity
         time = abs(closed - table.open) / velocity if velocity > 0 else 0.0
         if time > SLOW * CLOSING_TIME:

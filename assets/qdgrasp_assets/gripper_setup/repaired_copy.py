@@ -50,12 +50,17 @@ from qdgrasp_assets.grippers.urdf import (
     add_inertial,
     add_joint,
     drop_visuals,
-    edges,
     listed,
     parse_robot,
     read_urdf,
 )
-from qdgrasp_assets.grippers.urdf_checks import LARGEST_SHAPE, SIMULATOR_FORMATS, unweighed
+from qdgrasp_assets.grippers.urdf_checks import (
+    LARGEST_SHAPE,
+    SIMULATOR_FORMATS,
+    bare_links,
+    limit_scale,
+    unweighed,
+)
 from qdgrasp_protocol.errors import AssetError
 
 MUCH_FILLED = 0.1  # A link is hollow where its hull fills the room in front of this share of its surface
@@ -236,6 +241,17 @@ def transcribe(robot: Urdf, base: str, folder: str) -> RepairedHand:
 
 def _joints(path: Path, element: ET.Element) -> Iterator[str]:
     """Fix floating joints, and correct limits: the wrong way round, or against a <mimic>."""
+    kinds = {joint.get("name", ""): joint.get("type", "") for joint in element.findall("joint")}
+    scales = {name: limit_scale(element, kind) for name, kind in kinds.items()}
+    if scaled := [name for name, scale in scales.items() if scale != 1.0]:
+        yield f"{listed('joint', scaled)} limited in rad and m, as its limits looked like degrees or mm"
+    for joint in element.findall("joint"):
+        scale = scales[joint.get("name", "")]
+        if (limit := joint.find("limit")) is not None:
+            _multiply(limit, scale, "lower", "upper")
+        if (mimic := joint.find("mimic")) is not None:
+            _multiply(mimic, scale, "offset")
+            _multiply(mimic, scale / scales.get(mimic.get("joint", ""), 1.0), "multiplier")
     floating, turned = [], []
     for joint in element.findall("joint"):
         limit, name = joint.find("limit"), joint.get("name", "")
@@ -262,26 +278,29 @@ def _joints(path: Path, element: ET.Element) -> Iterator[str]:
         yield f"{listed('joint', turned)} limited the right way round: lower and upper were swapped"
 
 
+def _multiply(element: ET.Element, factor: float, *names: str) -> None:
+    """Multiply some numbers of an element, where it has them."""
+    for name in names:
+        if factor != 1.0 and name in element.attrib:
+            element.set(name, f"{factor * float(element.attrib[name]):.9g}")
+
+
 def _shapes(element: ET.Element) -> Iterator[str]:
-    """Take the visual shapes for collision if no moving link has collision shapes."""
-    moving = {child for joint, (_, child) in zip(element.findall("joint"), edges(element), strict=True)
-              if joint.get("type") != "fixed"}  # fmt: skip
-    links = element.findall("link")
-    if any(link.find("collision") is not None for link in links if link.get("name") in moving):
-        return
-    taken = [link.get("name", "") for link in links if link.find("visual") is not None]
-    for link in links:
-        for visual in link.findall("visual"):
+    """Take the visual shapes for collision where links have no others."""
+    taken = bare_links(element)
+    for link in element.findall("link"):
+        for visual in link.findall("visual") if link.get("name") in taken else ():
             shape = ET.SubElement(link, "collision")
             shape.extend(child for child in visual if child.tag in ("origin", "geometry"))
     if taken:
-        yield f"{listed('link', taken)} given the visual shapes for collision, as there were no others"
+        yield f"{listed('link', list(taken))} given the visual shapes for collision, as there were no others"
 
 
 def with_visual_shapes(robot: Urdf) -> Urdf:
     """Return the robot with visual shapes for collision, if no moving link has others."""
-    element = copy.deepcopy(robot.element)
-    return replace(robot, element=element) if tuple(_shapes(element)) else robot
+    shaped, element = {link for link, _ in collision_elements(robot)}, copy.deepcopy(robot.element)
+    is_shaped = any(joint.moves and joint.child in shaped for joint in robot.joints)
+    return robot if is_shaped or not tuple(_shapes(element)) else replace(robot, element=element)
 
 
 @dataclass(frozen=True)
@@ -351,11 +370,10 @@ def repaired_copy(
     Where the with-block fails, what was written is removed. `tell` is called before each slow step. With
     `may_centre` another base link is put before `base` where the fingers close beside its line of approach,
     with the `overrides` that the draft of its file will have. Raises `AssetError` if a mesh is missing or
-    cannot be read, or the copy cannot be written or would replace the hand's own files; and the
+    cannot be read, or the copy cannot be written; and the
     errors of `draft_gripper`.
     """
     urdf, folder = repaired_urdf(toml), repaired_meshes(toml)
-    _check_sources(robot, urdf, folder)
     folder_name = folder.name
     element, meshes, changes = (
         transcribe(robot, base, folder_name) if as_it_is else repair(robot, base, folder_name, tell)
@@ -377,17 +395,6 @@ def repaired_copy(
         with suppress(OSError):  # not empty, or not there
             folder.rmdir()
         raise
-
-
-def _check_sources(robot: Urdf, urdf: Path, folder: Path) -> None:
-    """Raise AssetError if a copy would replace the URDF or meshes that it is made of."""
-    names = (mesh.get("filename", "").removeprefix("file://") for mesh in robot.element.iter("mesh"))
-    sources = {robot.path.resolve(), *((robot.path.parent / name).resolve() for name in names)}
-    if any(path == urdf.resolve() or path.parent == folder.resolve() for path in sources):
-        raise AssetError(
-            f"The copy of '{robot.path}' would replace the files that it is made of: name another path with "
-            "--out, beside which it is written."
-        )
 
 
 def _urdf_text(element: ET.Element, origin: str) -> bytes:

@@ -134,12 +134,7 @@ def _carrier_command(axis: CarrierAxis, hold_force: float, scale: float) -> Carr
 
 def _compose(hand: Urdf, base: str, axes: tuple[CarrierAxis, ...], link_mass: float) -> Urdf:
     """Put the hand behind a chain of `axes`; links before the hand weigh `link_mass` [kg] each."""
-    taken = {*hand.links, *(joint.name for joint in hand.joints)}
     links = [f"carrier_{number}" for number in range(len(axes))]
-    if clash := taken.intersection([*links, *(axis.name for axis in axes)]):
-        raise AssetError(
-            f"The URDF '{hand.path}' uses the name '{min(clash)}', which the carrier needs; rename it."
-        )
     robot = ET.Element("robot", name=hand.element.get("name", "hand"))
     for name in links:
         add_inertial(ET.SubElement(robot, "link", name=name), f"{link_mass:g}", "111")

@@ -12,7 +12,6 @@ import numpy as np
 from msgspec import Struct
 
 from qdgrasp_assets.asset_paths import on_asset_path, path_problem, searched
-from qdgrasp_assets.geometry.rotation import rotate
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 from qdgrasp_assets.grippers.urdf_checks import kind_fault
 from qdgrasp_assets.scene import Jaw, Synergy
@@ -54,7 +53,7 @@ class FreeJointTable(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class OriginalBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[original_base]`: the base link of a hand in its maker's URDF.
+    """The base link of a hand in its maker's URDF, for exports.
 
     Its pose is in the frame of `base_link`, which was added to the hand. A pose of that link is a pose of the
     base link times this one.
@@ -91,8 +90,6 @@ class GripperFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Origin of `rated_effort` and `rated_velocity`: data sheet, document, edition."""
     disabled_collisions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that may overlap (MoveIt's term); a joint's parent and child always may."""
-    original_base: OriginalBase | None = None
-    """The base link of the maker's URDF, where `base_link` was added to it."""
 
     def find_urdf(self, toml: Path) -> Path | None:
         """Return the path of the URDF for this TOML; None if it is not on the asset path."""
@@ -118,7 +115,7 @@ def read_gripper_file(path: Path) -> GripperFile:
         raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")
     try:
         return msgspec.convert(
-            tomllib.loads(path.read_text(encoding="utf-8"), parse_float=_finite), GripperFile
+            tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=_finite), GripperFile
         )
     except OSError as error:
         raise AssetError(f"No gripper can be read at '{path}': {error.strerror or error}.") from None
@@ -136,7 +133,6 @@ def _finite(text: str) -> float:
     return value
 
 
-POSE_TOLERANCE = 1e-4  # the difference up to which two frames are taken as one [m, 1]
 RIGHT_ANGLE_TOLERANCE = 1e-3  # the cosine up to which an angle is taken for a right one
 
 
@@ -158,7 +154,6 @@ def _hand_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
     yield from _unknown_names(robot, "free_joints", file.free_joints, file.joints)
     paired = dict.fromkeys(chain.from_iterable(file.disabled_collisions))
     yield from _unknown_names(robot, "disabled_collisions", paired, hand.links)
-    yield from _original_base_faults(file, robot, hand)
     if twice := file.fixed_joints.keys() & moving:
         yield f"fixed_joints names {', '.join(sorted(twice))}, which moves; give it a table in [joints]"
     for synergy in file.synergies:
@@ -190,27 +185,6 @@ def _unknown_names(robot: Urdf, field: str, names: Any, known: Any) -> Iterator[
             yield (
                 f"{field} names '{name}', which '{robot.path}' does not have below its base link; "
                 f"it has {', '.join(sorted(known)) or 'none'}"
-            )
-
-
-def _original_base_faults(file: GripperFile, robot: Urdf, hand: Urdf) -> Iterator[str]:
-    base = file.original_base
-    if base is None:
-        return
-    unknown = tuple(_unknown_names(robot, "original_base.link", [base.link], hand.links))
-    yield from unknown
-    length = float(np.linalg.norm(base.orientation))
-    if not length > 0:
-        yield f"original_base.orientation must be a quaternion x, y, z, w, got {list(base.orientation)}"
-    elif not unknown:
-        pose = np.array([*base.position, *np.array(base.orientation) / length])
-        frame = hand.forward({})[base.link]
-        expected = np.column_stack([rotate(np.tile(pose[3:], (3, 1)), np.eye(3)).T, pose[:3]])
-        if np.abs(frame[:3] - expected).max() > POSE_TOLERANCE:
-            place = ", ".join(f"{value:.6g}" for value in frame[:3, 3])
-            yield (
-                f"original_base is not where '{robot.path}' has the link '{base.link}', at [{place}] m in "
-                "the base link's frame; correct its position and orientation, or leave the table out"
             )
 
 

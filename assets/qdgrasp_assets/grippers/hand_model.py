@@ -234,6 +234,7 @@ def collision_corners(robot: Urdf, link: str, collision: ET.Element) -> tuple[Fl
 
 
 LARGEST_HAND = 0.5  # A hand's joints are not farther apart than this [m]
+MOST_OF_FINGER = 3  # Most joints of a hand's only finger: a longer chain is an arm with a jaw
 
 
 def guess_base(robot: Urdf) -> tuple[str, str, list[str]]:
@@ -246,6 +247,8 @@ def guess_base(robot: Urdf) -> tuple[str, str, list[str]]:
     found = [link for link in links if len(limbs[link]) > 1 and _spread(robot, link) < LARGEST_HAND]
     if not found:
         parents = [joint.parent for joint in robot.joints_beyond(robot.root) if joint.moves]
+        if len(parents) > MOST_OF_FINGER:
+            return _rigid_root(robot, parents[-1]), "one jaw moves on it, at the end of an arm", []
         near = [link for link in parents if _spread(robot, link) < LARGEST_HAND]
         link = _rigid_root(robot, near[0]) if near else robot.root
         return link, "no link has several moving limbs; beyond this one all joints are near each other", []

@@ -162,8 +162,9 @@ def find_couplings(mechanism: Mechanism) -> Couplings:
         followers = [joint for joint in group if joint not in leaders]
         if not followers:
             continue
-        if len(leaders) > 1:
-            notes.append(_left_free(names, followers, f"{len(leaders)} motors move what it joins"))
+        if len(leaders) != 1:
+            why = f"{len(leaders)} motors move what it joins" if leaders else "it lets none of them move"
+            notes.append(_left_free(names, followers, why))
             continue
         positions, closed = rows.sweep(leaders[0], followers)
         if closed.mean() < LEAST_CLOSED:
@@ -247,6 +248,7 @@ class _CouplingRows:
         self._shares = np.concatenate(
             [np.zeros((0, len(idle))), *(self._share(tendons[n]) for n in pulled if couples[n])]
         )
+        self._equalities = equalities
         self._fixed = np.concatenate([equalities, tendons[self._tight], self._shares])
         self._rows = np.concatenate([self._fixed, tendons[self._sprung]])
 
@@ -276,9 +278,13 @@ class _CouplingRows:
         led = self._mechanism.led_by_equality()
         order = sorted(group, key=lambda joint: (joint not in self._driven, joint in led, joint))
         moved = [joint for joint in order if joint in self.moved] or order[:1]
+        # a tendon pulls joints as far as equalities let it: those decide where both leave no freedom
+        return next(filter(None, (self._free(moved, fixed) for fixed in (self._fixed, self._equalities))), [])
+
+    def _free(self, joints: list[int], fixed: Floats) -> list[int]:
+        """Return those of some joints that do not follow, by rows (r, n), from those before them."""
         found: list[int] = []
-        fixed = self._fixed
-        for joint in moved:
+        for joint in joints:
             unit = np.eye(len(self._mechanism.joints))[[joint]]
             with_joint = np.concatenate([fixed, unit])
             if _rank(with_joint) > _rank(fixed):

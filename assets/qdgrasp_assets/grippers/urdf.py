@@ -3,6 +3,7 @@
 Files of other formats that people take for a URDF are refused with advice.
 """
 
+import codecs
 import copy
 import importlib.util
 import re
@@ -397,6 +398,7 @@ def add_file(files: dict[str, bytes], stem: str, suffix: str, content: bytes) ->
 MOST_LINKS = 1000  # Links of a robot
 XACRO_TAG = re.compile(r"\{http[^}]*xacro\}|xacro:")  # Tags that only a xacro file has
 XACRO_SUBSTITUTION = re.compile(r"\$[({]")  # Beginning of an expression that xacro replaces, in attributes
+XML_ENCODING = re.compile(rb"""(?:\xef\xbb\xbf)?<\?xml[^>]*?\sencoding=["']([\w.:-]+)""")
 OTHER_FORMATS = {
     "sdf": "an SDF file, which describes worlds for Gazebo; look for the robot's URDF, or export one from it",
     "mujoco": "a MuJoCo file (MJCF), of which `qdgrasp gripper new` writes a URDF and a gripper's file",
@@ -411,11 +413,11 @@ def read_robot_element(path: Path) -> ET.Element:
     if why := path_problem(path):
         raise AssetError(f"No URDF can be read at '{path}': it {why}; name the robot's .urdf file.")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = _decoded(path.read_bytes())
         element = ET.fromstring(text)  # noqa: S314  # the user's own file; expat refuses entities that grow
     except OSError as error:
         raise AssetError(f"No URDF can be read at '{path}': {error.strerror or error}.") from None
-    except UnicodeDecodeError:
+    except (UnicodeError, LookupError):
         raise AssetError(f"'{path}' is not XML but binary data; name the robot's .urdf file.") from None
     except ET.ParseError as error:
         if "<xacro:" in text:
@@ -433,6 +435,13 @@ def read_robot_element(path: Path) -> ET.Element:
         unknown = f"an XML file whose root is <{element.tag}>, and a URDF's is <robot>"
         raise AssetError(f"'{path}' is no URDF but {OTHER_FORMATS.get(element.tag, unknown)}.")
     return element
+
+
+def _decoded(content: bytes) -> str:
+    """Return the text of an XML file, in the encoding that it declares; UTF-8 where it does not."""
+    declared = XML_ENCODING.match(content)
+    is_utf_16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return content.decode(declared[1].decode() if declared else "utf-16" if is_utf_16 else "utf-8-sig")
 
 
 def _xacro_advice(path: Path) -> str:

@@ -16,6 +16,7 @@ from qdgrasp_assets.grippers.hand_model import collision_corners
 from qdgrasp_assets.grippers.urdf import Urdf, edges, listed, numbers_in
 from qdgrasp_protocol.errors import AssetError
 
+REPAIR_ADVICE = "or have `qdgrasp gripper new --repair` do it"
 LIMITED = ("revolute", "prismatic")
 KINDS = {
     "fixed": "",
@@ -32,7 +33,7 @@ def motion_faults(element: ET.Element) -> tuple[str, ...]:
     """Return the faults of the joints of a `<robot>`."""
     joints = {joint.get("name", ""): joint for joint in element.findall("joint")}
     found = [fault for name, joint in joints.items() for fault in _joint_faults(name, joint, joints)]
-    return (*found, *_reversed_limits(joints))
+    return (*found, *_limit_faults(element))
 
 
 def kind_fault(name: str, kind: str) -> str:
@@ -60,17 +61,27 @@ def _joint_faults(name: str, joint: ET.Element, joints: Mapping[str, ET.Element]
         yield f"the joint '{name}' mimics another by what is no number; correct multiplier and offset"
 
 
-def _reversed_limits(joints: Mapping[str, ET.Element]) -> Iterator[str]:
-    """Yield faults of joints whose limits Bullet ignores, or that leave no range."""
-    turned, still = [], []
-    for name, joint in joints.items():
+def _limits(element: ET.Element) -> Iterator[tuple[str, str, float, float]]:
+    """Yield the joints of a `<robot>` with limits: name, type, lower and upper [rad or m]."""
+    for joint in element.findall("joint"):
         limit = joint.find("limit")
         if joint.get("type") in LIMITED and limit is not None:
-            match numbers_in(f"{limit.get('lower', '0')} {limit.get('upper', '0')}"):
-                case low, high if low > high:
-                    turned.append(name)
-                case low, high if low == high:
-                    still.append(name)
+            numbers = numbers_in(f"{limit.get('lower', '0')} {limit.get('upper', '0')}")
+            if len(numbers) == 2:
+                yield joint.get("name", ""), joint.get("type", ""), numbers[0], numbers[1]
+
+
+def _limit_faults(element: ET.Element) -> Iterator[str]:
+    """Yield faults of limits: ignored by Bullet, without a range, or in other units."""
+    limits = list(_limits(element))
+    turned = [name for name, _, low, high in limits if low > high]
+    still = [name for name, _, low, high in limits if low == high]
+    endless = [name for name, _, low, high in limits if max(abs(low), abs(high)) >= NO_LIMIT]
+    for kind, (_, _, unit) in LIMIT_UNITS.items():
+        if limit_scale(element, kind) != 1.0:
+            yield f"limits of its {kind} joints look like {unit}: convert them, {REPAIR_ADVICE}"
+    if endless:
+        yield f"{listed('joint', endless)} limited so far that it has no limits: give those of the hand"
     if turned:
         yield (
             f"{listed('joint', turned)} limited the wrong way round, lower above upper, which the simulator "
@@ -82,8 +93,22 @@ def _reversed_limits(joints: Mapping[str, ET.Element]) -> Iterator[str]:
         )
 
 
+LIMIT_UNITS = {
+    "revolute": (4 * np.pi, np.pi / 180, "degrees, and they are in rad"),
+    "prismatic": (2.0, 1e-3, "millimetres, and they are in m"),
+}
+"""Largest limit of a hand's joints [rad or m], with the factor and the unit that a larger one is in."""
+NO_LIMIT = 1e4  # Limits that mean that there are none [rad or m]
+
+
+def limit_scale(element: ET.Element, kind: str) -> float:
+    """Return the factor to rad or m of the limits of all joints of a type."""
+    most, factor, _ = LIMIT_UNITS.get(kind, (np.inf, 1.0, ""))
+    limits = [max(abs(low), abs(high)) for _, each, low, high in _limits(element) if each == kind]
+    return factor if max((limit for limit in limits if limit < NO_LIMIT), default=0.0) > most else 1.0
+
+
 HEAVIEST_HAND = 30.0  # Largest mass of a hand [kg]; a heavier one is given in grams
-MEND_ADVICE = "or have `qdgrasp gripper new --repair` do it"
 
 
 def weight_faults(element: ET.Element) -> tuple[str, ...]:
@@ -114,12 +139,12 @@ def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
             for name, each in inertials.items()
             if each is None or each.find("inertia") is None or (mass := masses[name]) is None or mass < 0
         ],
-        f"without a mass and an inertia that can be: give both, the mass in kg, {MEND_ADVICE}",
+        f"without a mass and an inertia that can be: give both, the mass in kg, {REPAIR_ADVICE}",
     )
     yield (
         [name for name in masses if pieces[name] not in heavy],
         "of mass 0, with all that fixed joints add: a joint that carries no mass stands still in the "
-        f"simulator; give it in kg, {MEND_ADVICE}",
+        f"simulator; give it in kg, {REPAIR_ADVICE}",
     )
 
 
@@ -131,6 +156,14 @@ def _pieces(element: ET.Element) -> dict[str, str]:
             old, new = pieces[child], pieces[parent]
             pieces = {name: new if piece == old else piece for name, piece in pieces.items()}
     return pieces
+
+
+def bare_links(element: ET.Element) -> tuple[str, ...]:
+    """Return the links that have visual shapes alone, as all that is fixed to them."""
+    pieces, links = _pieces(element), element.findall("link")
+    shaped = {pieces[link.get("name", "")] for link in links if link.find("collision") is not None}
+    seen = (link.get("name", "") for link in links if link.find("visual") is not None)
+    return tuple(name for name in seen if pieces[name] not in shaped)
 
 
 def _inertials(element: ET.Element) -> dict[str, ET.Element | None]:

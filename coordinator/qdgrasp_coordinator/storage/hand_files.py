@@ -73,7 +73,7 @@ def usable_robot(
         )
     if not repair and not is_mjcf(robot.path):
         return robot, given
-    OutFile(repaired_urdf(file.path), force=file.force).check()
+    OutFile(repaired_urdf(file.path), force=file.force, inputs=(robot.path,)).check()
     OutFolder(repaired_meshes(file.path), force=file.force, is_kind=lambda _: True).check()
     may_centre = repair and given.base_link is None
     file.path.absolute().parent.mkdir(parents=True, exist_ok=True)

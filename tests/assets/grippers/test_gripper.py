@@ -200,5 +200,5 @@ def test_paper_pushes_every_hand_with_the_pandas_acceleration(asset_path):
 def test_a_name_that_the_carrier_needs_is_refused(claw, edit):
     for file in ("claw.urdf", "claw.toml"):
         edit(claw.parent / file, "bend", "rotationX")
-    with pytest.raises(AssetError, match="uses the name 'rotationX', which the carrier needs"):
+    with pytest.raises(AssetError, match="the joint 'rotationX' is named more than once"):
         find_gripper(str(claw)).on_carrier("paper")

@@ -31,9 +31,27 @@ def only_follower(robot):
         ({"equality": '<joint joint1="J1" joint2="J2" polycoef="0.2 0.7 0 0 0"/>'}, 0.7, 0.2),
         ({"equality": '<joint joint1="J2" joint2="J1" polycoef="0 2 0 0 0"/>'}, 0.5, 0),
         ({"tendon": PULL.format("", 1, -1.25), "equality": '<tendon tendon1="pull"/>'}, 0.8, 0),
+        (
+            {
+                "tendon": PULL.format("", 1, 0.8),
+                "equality": '<joint joint1="J1" joint2="J2" polycoef="0 0.5 0 0 0"/>',
+                "actuator": TENDON_MOTOR,
+            },
+            0.5,
+            0,
+        ),
         ({"tendon": PULL.format(' range="-0.001 0.001" limited="true"', 0.008, -0.008)}, 1, 0),
     ],
-    ids=["tendon", "arms", "equality", "offset", "other way", "length", "tight tendon"],
+    ids=[
+        "tendon",
+        "arms",
+        "equality",
+        "offset",
+        "other way",
+        "length",
+        "tendon and equality",
+        "tight tendon",
+    ],
 )
 def test_one_joint_follows_the_other(tmp_path, couples, multiplier, offset):
     robot, notes = finger(tmp_path, **couples)

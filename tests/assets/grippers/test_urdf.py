@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_assets.grippers.urdf import read_robot_element, read_urdf
 from qdgrasp_protocol.errors import AssetError
 
@@ -36,6 +37,18 @@ def test_the_bundle_keeps_all_but_visuals_and_mesh_paths(robot):
         limit.attrib for limit in robot.element.iter("limit")
     ]
     assert list(robot.element.iter("visual"))
+
+
+@pytest.mark.parametrize("name", ["ISO-8859-1", "windows-1251", "GBK", "Shift_JIS", "UTF-16", "utf-8"])
+def test_a_file_is_read_in_the_encoding_that_it_declares(claw, name):
+    urdf, comment = claw.parent / "claw.urdf", "é".encode(name, "ignore").decode(name)
+    before, text = read_urdf(urdf), urdf.read_text().replace("bend", f"bend_{comment}")
+    urdf.write_bytes(f"<?xml version='1.0' encoding='{name}'?>\n{text}".encode(name))
+    assert [joint.name for joint in read_urdf(urdf).joints] == ["flange", f"bend_{comment}"]
+    assert read_urdf(urdf).links == before.links
+    claw.write_bytes(claw.read_bytes().replace(b"bend", b'"bend_%b"' % comment.encode()))
+    claw.write_text(claw.read_text(), encoding="utf-8-sig")
+    assert "finger" in read_gripper_file(claw).finger_links
 
 
 def refused(path, content):
