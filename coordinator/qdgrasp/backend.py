@@ -83,8 +83,9 @@ class Place:
     def meet(self) -> Meeting:
         """Open a session on the bus; also return its endpoint.
 
-        Raises EndpointError if no router answers, or no port is free.
+        Raises EndpointError if no router answers, or no port is free, and InputError as `check_process`.
         """
+        check_process()
         if self.connect is None:
             return ZenohBus.embedded(None)
         credentials = Credentials.find(Path(self.security) if self.security else None, Role.COORDINATOR)
@@ -92,6 +93,17 @@ class Place:
 
 
 HERE = Place()  # All cores of this machine
+_USERS: set[int] = set()  # Processes that have used the bus, here and before this process was forked
+
+
+def check_process() -> None:
+    """Raise InputError in a process that was forked after the bus was used: it lacks its threads."""
+    if _USERS and os.getpid() not in _USERS:
+        raise InputError(
+            "This process was forked from one that had used qdgrasp before, whose threads it does not have: "
+            "start processes by spawn, as multiprocessing.get_context('spawn') does."
+        )
+    _USERS.add(os.getpid())
 
 
 @contextmanager

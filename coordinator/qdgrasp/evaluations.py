@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp.arguments import SceneArguments, check_genomes, layout_of, spec_from_arguments
-from qdgrasp.backend import HERE, Place, SilentProgress, open_place
+from qdgrasp.backend import HERE, Place, SilentProgress, check_process, open_place
 from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
 from qdgrasp_coordinator.scheduler.run_plan import (
@@ -175,6 +175,7 @@ class Evaluations:
         """Return every row that a journal would have, trials too, with nominal fitness."""
         if self._open is None:
             raise InputError("Evaluations are opened by a with-block: `with qdgrasp.Evaluations(...) as e:`.")
+        check_process()
         asked = check_genomes(genomes, self.layout)
         if not len(asked):
             return row_shape(self.scene, self.prior).empty(0)

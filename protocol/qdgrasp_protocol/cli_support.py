@@ -1,5 +1,6 @@
 """Shared parts of all commands: options, error sentences and exit codes, never a traceback."""
 
+import errno
 import os
 import signal
 import sys
@@ -91,7 +92,8 @@ SIGNAL_GRACE = 1.5  # seconds that a command outside of a `lifetime` may take to
 def run_command(app: typer.Typer, name: str) -> None:
     """Run a command line; an error ends it with a sentence on stderr and an exit code.
 
-    So does a file that vanishes meanwhile; a process that has a supervisor is started again instead.
+    So do a file that vanishes meanwhile and a full disk; a process that has a supervisor is started again
+    instead.
     """
     is_supervised = SUPERVISED in os.environ  # until its `lifetime` begins
     try:
@@ -105,25 +107,29 @@ def run_command(app: typer.Typer, name: str) -> None:
         code = _print_usage_error(name, error)
     except typer.Abort:
         code = 130
-    except FileNotFoundError as error:
-        if is_supervised or error.filename is None:
-            raise
-        code = _print_error(name, _vanished(error), InputError.exit_code)
     except BrokenPipeError:
         code = 141
+    except OSError as error:
+        if is_supervised or not (sentence := _disk_fault(error)):
+            raise
+        code = _print_error(name, sentence, InputError.exit_code)
     finally:
         for number in STOP_SIGNALS:
             signal.signal(number, _exit_at_once)
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _vanished(error: FileNotFoundError) -> str:
-    """Return the sentence for a file that was there when a command began, and is not any more."""
-    path = os.fsdecode(error.filename)
-    return (
-        f"{path} is not there: it, or the folder that it lies in, was deleted or moved while the command was "
-        "at work; put it back, and give the command again."
-    )
+def _disk_fault(error: OSError) -> str:
+    """Return the sentence for a file that is not there any more, or a full disk; empty: neither."""
+    if error.errno == errno.ENOSPC:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left to print is lost, without a traceback
+        return "The disk that it writes to, or its output is sent to, is full: make room, and try again."
+    if error.errno == errno.ENOENT and error.filename is not None:
+        return (
+            f"{os.fsdecode(error.filename)} is not there: it, or its folder, was deleted or moved while the "
+            "command was at work; put it back, and give the command again."
+        )
+    return ""
 
 
 def _exit_on_signal(number: int, _frame: FrameType | None) -> None:

@@ -77,9 +77,20 @@ def test_a_file_that_vanishes_is_a_sentence_unless_the_process_is_to_be_started_
     else:
         assert done.returncode == 2
         assert done.stderr == (
-            f"program: {tmp_path / 'file'} is not there: it, or the folder that it lies in, was deleted or "
-            "moved while the command was at work; put it back, and give the command again.\n"
+            f"program: {tmp_path / 'file'} is not there: it, or its folder, was deleted or moved while the "
+            "command was at work; put it back, and give the command again.\n"
         )
+
+
+@pytest.mark.parametrize("words", [["--help"], ["asset", "list"]])
+def test_a_full_disk_under_standard_output_is_a_sentence(words: list[str]) -> None:
+    command = [sys.executable, "-m", "qdgrasp", *words]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=PATIENCE, check=False
+        )
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "is full: make room" in done.stderr
 
 
 LEAST = "it must be greater than or equal to 0"

@@ -1,10 +1,12 @@
 """CSV tables: rows of values by column name as text, and back.
 
-A file is UTF-8 with one header line; an empty cell stands for no value.
+A file is UTF-8 with one header line; an empty cell stands for no value. Where semicolons separate the cells
+of the header, as spreadsheets write it in many countries, numbers may have decimal commas.
 """
 
 import csv
 import io
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
@@ -14,6 +16,7 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.text import counted
 
 Value = str | int | float | None
+DECIMAL_COMMA = re.compile(r"\A(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)\Z")
 Row = Mapping[str, Value]
 """Values by column; None where there is none."""
 
@@ -45,7 +48,14 @@ def read_csv(path: Path, needed: Sequence[str] = ()) -> list[dict[str, str]]:
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            return _parsed_rows(list(csv.reader(file)), needed)
+            header = file.readline()
+            file.seek(0)
+            if ";" not in header or "," in header:
+                return _parsed_rows(list(csv.reader(file)), needed)
+            lines = csv.reader(file, delimiter=";")
+            return _parsed_rows(
+                [[DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in line] for line in lines], needed
+            )
     except (OSError, ValueError, csv.Error) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise InputError(f"'{path}' cannot be read as a table: {why}.") from None

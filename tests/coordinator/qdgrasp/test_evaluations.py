@@ -1,11 +1,14 @@
 """Genomes, poses and places of a program are checked before anything is started."""
 
+import multiprocessing
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from tests.common import PATIENCE
 from tests.coordinator.scenes import jaw
 from tests.tools.monitor.sample_jobs import figures
 
@@ -123,3 +126,31 @@ def test_an_encrypted_router_needs_the_certificates_of_a_coordinator(tmp_path: P
     worker = lab.add(Role.WORKER, "node", hosts=LOCAL, days=1)
     with pytest.raises(SecurityError, match=r"lacks coordinator.pem and coordinator.key"):
         qdgrasp.Place(connect=ENCRYPTED, security=worker).meet()
+
+
+def meet_and_say(said: Connection) -> None:
+    """Use the bus, and say what came of it."""
+    try:
+        bus, _ = qdgrasp.Place().meet()
+    except InputError as error:
+        said.send(str(error))
+    else:
+        bus.close()
+        said.send("met")
+
+
+@pytest.mark.parametrize(("kind", "sentence"), [("fork", "start processes by spawn"), ("spawn", "met")])
+def test_a_process_forked_after_the_bus_was_used_says_so_and_waits_for_nothing(
+    kind: str, sentence: str
+) -> None:
+    qdgrasp.Place().meet()[0].close()
+    context = multiprocessing.get_context(kind)
+    heard, said = context.Pipe(duplex=False)
+    child = context.Process(target=meet_and_say, args=(said,))
+    child.start()
+    try:
+        assert heard.poll(PATIENCE)
+        assert sentence in heard.recv()
+    finally:
+        child.kill()
+        child.join()

@@ -24,6 +24,19 @@ def test_what_is_written_is_read_again(
     assert read_csv(path, ["second"]) == [row for row in expected if any(row.values())]
 
 
+@given(cells=st.lists(st.tuples(st.floats(allow_nan=False, allow_infinity=False), st.integers()), min_size=1))
+def test_a_table_of_a_spreadsheet_has_semicolons_and_decimal_commas(
+    tmp_path_factory: pytest.TempPathFactory, cells: list[tuple[float, int]]
+) -> None:
+    path = tmp_path_factory.mktemp("table") / "table.csv"
+    lines = [f"{str(a).replace('.', ',')};part {b},{b}.stl" for a, b in cells]
+    path.write_text("\r\n".join(["\ufeffmass; file", *lines]), encoding="utf-8")
+
+    found = [(float(row["mass"]), row["file"]) for row in read_csv(path, ["file"])]
+
+    assert found == [(a, f"part {b},{b}.stl") for a, b in cells]
+
+
 def test_columns_are_in_the_order_of_their_first_occurrence() -> None:
     assert csv_text([{"a": 1}, {"b": None, "a": 0.5}]) == "a,b\n1,\n0.5,\n"
     assert csv_text([{"a": 1, "b": 2}], ["b"]) == "b\n2\n"
