@@ -97,7 +97,7 @@ _USERS: set[int] = set()  # Processes that have used the bus, here and before th
 
 
 def check_process() -> None:
-    """Raise InputError in a process that was forked after the bus was used: it lacks its threads."""
+    """Raise InputError in a process that was forked after the bus was used, without its threads."""
     if _USERS and os.getpid() not in _USERS:
         raise InputError(
             "This process was forked from one that had used qdgrasp before, whose threads it does not have: "

@@ -6,12 +6,12 @@ A file is read as one mesh in its own unit; the scale multiplies its coordinates
 import json
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, path_problem
+from qdgrasp_assets.asset_paths import A_FOLDER, path_problem
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName, UnreadableHere
 
@@ -132,24 +132,6 @@ def read_mesh_file(path: Path) -> FileMesh:
 def _load_scene(path: Path) -> Any:
     import trimesh
     from trimesh.exchange.load import mesh_formats
-    from trimesh.resolvers import FilePathResolver
-
-    class SiblingFileResolver(FilePathResolver):
-        """Materials, textures and buffers in the folder of the mesh file.
-
-        No other file is read, and pipes and devices are never opened.
-        """
-
-        def get(self, name: str) -> bytes:
-            plain, folder = name.strip(), Path(self.parent).resolve()
-            for tried in (plain, plain.lstrip("/"), PurePath(plain).name):
-                path = (folder / tried).resolve()
-                if not path.is_relative_to(folder) or (why := path_problem(path)) == NOT_THERE:
-                    continue
-                if why:
-                    raise OSError(f"'{name}', which it names, {why}")
-                return path.read_bytes()
-            raise FileNotFoundError(name)
 
     kind = path.suffix.lower()
     if kind.removeprefix(".") not in mesh_formats():
@@ -164,7 +146,7 @@ def _load_scene(path: Path) -> Any:
             "export it as one of these."
         )
     try:
-        return trimesh.load_scene(path, process=False, resolver=SiblingFileResolver(str(path)))
+        return trimesh.load_scene(path, process=False)
     except ImportError:  # a package that guesses what damaged text was meant to be
         raise AssetError(
             f"The mesh '{path}' is damaged: it is no whole {kind} file; export it again, for example as STL."

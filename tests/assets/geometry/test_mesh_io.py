@@ -1,6 +1,5 @@
 """Reading and writing mesh files."""
 
-import json
 import re
 
 import pytest
@@ -12,11 +11,10 @@ from qdgrasp_assets.geometry.mesh import box
 from qdgrasp_assets.geometry.mesh_io import (
     WRITABLE_FORMATS,
     read_mesh_file,
-    scale_of,
     to_bytes,
 )
 from qdgrasp_assets.object_model import read_draft, read_solid
-from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
+from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.spec import RunSpec
 
 BLOCK = (0.02, 0.03, 0.05)
@@ -76,21 +74,6 @@ def test_what_is_written_is_read_again(tmp_path, suffix):
     assert draft.mesh.extents == pytest.approx(BLOCK)
 
 
-IMPOSSIBLE = r"--units must be a number greater than 0 and at most 1000000 .*got"
-
-
-@pytest.mark.parametrize(
-    ("units", "error", "sentence"),
-    [
-        ("furlong", UnknownName, r"Unknown unit 'furlong'\. Known: cm, in, m, mm\."),
-        *((scale, ImpossibleValue, IMPOSSIBLE) for scale in (0.0, -1.0, float("nan"), 1e7)),
-    ],
-)
-def test_what_is_no_unit_or_scale_is_refused_in_a_sentence(units, error, sentence):
-    with pytest.raises(error, match=sentence):
-        scale_of(units)
-
-
 @pytest.mark.parametrize("name", [*PLACES, "x" * 300 + ".stl"])
 def test_what_is_no_ordinary_file_is_told_for_what_it_is(tmp_path, name):
     make_places(tmp_path)
@@ -99,21 +82,3 @@ def test_what_is_no_ordinary_file_is_told_for_what_it_is(tmp_path, name):
     for read in (lambda: read_mesh_file(tmp_path / name), lambda: build_scene(spec)):
         with pytest.raises(AssetError, match=re.escape(told)):
             read()
-
-
-def buffered(folder, name):
-    """A glTF file whose triangles are in another file."""
-    for file, content in trimesh.creation.box(BLOCK).export(file_type="gltf").items():
-        (folder / file).write_bytes(content)
-    model = json.loads((folder / "model.gltf").read_text())
-    model["buffers"][0]["uri"] = name
-    (folder / "model.gltf").write_text(json.dumps(model))
-    return folder / "model.gltf"
-
-
-def test_a_pipe_in_the_place_of_a_buffer_is_not_waited_for(tmp_path):
-    make_places(tmp_path)
-    assert read_mesh_file(buffered(tmp_path, "gltf_buffer_0.bin")).mesh.extents == pytest.approx(BLOCK)
-    sentence = r"'pipe\.stl', which it names, is no ordinary file; export it again"
-    with pytest.raises(AssetError, match=sentence):
-        read_mesh_file(buffered(tmp_path, "pipe.stl"))
