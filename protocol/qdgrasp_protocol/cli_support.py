@@ -116,7 +116,8 @@ def run_command(app: typer.Typer, name: str) -> None:
     finally:
         for number in STOP_SIGNALS:
             signal.signal(number, _exit_at_once)
-    sys.exit(code if isinstance(code, int) else 0)
+    end = os._exit if is_supervised else sys.exit  # at once: Python takes its time to forget its modules
+    end(code if isinstance(code, int) else 0)
 
 
 def _disk_fault(error: OSError) -> str:

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from functools import partial
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
@@ -97,15 +98,15 @@ class ZenohBus(Bus):
         """Open a session at the router on `endpoint`, trying for `deadline_seconds`.
 
         Of several endpoints, separated by commas, the first that answers serves, and when it is lost another
-        one; None is the default one. A try takes as long as a slow link needs, and ends when `stop` is set.
-        An EndpointError if no router answers in time, or the text is not an endpoint; a SystemExit if `stop`
-        was set while trying.
+        one; None is the default one, and a path from the root is that of a file with the endpoint, which is
+        waited for. A try takes as long as a slow link needs, and ends when `stop` is set. An EndpointError if
+        no router answers in time, or the text is not an endpoint; a SystemExit if `stop` was set meanwhile.
         """
-        endpoints = (
-            parse_endpoints(endpoint)
-            if endpoint is not None
-            else (default_endpoint(encrypted=credentials is not None),)
-        )
+        if endpoint is None:
+            endpoint = default_endpoint(encrypted=credentials is not None).text
+        elif endpoint.startswith("/"):
+            endpoint = _written_endpoint(Path(endpoint), stop)
+        endpoints = parse_endpoints(endpoint)
         deadline = time.monotonic() + deadline_seconds
         order = deque(endpoints)
         patience = FIRST_TRY if len(endpoints) > 1 else OPEN_SECONDS
@@ -176,10 +177,8 @@ class ZenohBus(Bus):
             return cls.router(endpoint, credentials=credentials, insecure=insecure), endpoint
         for _ in range(PORT_TRIES - 1):
             with suppress(EndpointError):  # another program took the port first
-                chosen = free_endpoint(credentials)
-                return cls.router(chosen, credentials=credentials), chosen
-        chosen = free_endpoint(credentials)
-        return cls.router(chosen, credentials=credentials), chosen
+                return cls.embedded(free_endpoint(credentials), credentials)
+        return cls.embedded(free_endpoint(credentials), credentials)
 
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
         """Publish one message, without a Publisher per key, which would leak memory on every join."""
@@ -294,6 +293,15 @@ class ZenohBus(Bus):
             return act()
         except zenoh.ZError as error:
             raise BusError(f"The bus refuses: {error}.") from None
+
+
+def _written_endpoint(path: Path, stop: Stop | None) -> str:
+    """Wait for a file with endpoints; return the first of them, as it is reached from here."""
+    while not path.exists():
+        if stop is not None and stop.is_set:
+            raise SystemExit(stop.exit_code)
+        time.sleep(0.02)  # seconds
+    return parse_endpoints(path.read_text().strip())[0].reached_from(here=True)
 
 
 def _open(config: zenoh.Config, stop: Stop | None) -> zenoh.Session | Exception:

@@ -193,6 +193,7 @@ class CoordinatorService:
         not what its spec replays to.
         """
         self._stop.tell(lambda: self._inbox.put(None))
+        self._inbox.put(None)  # the first step waits for nothing
         scheduler, runs = self.scheduler, self._runs
         with closing(runs), self._subscriptions:
             self._publisher.open(time.monotonic())

@@ -9,6 +9,7 @@ contacts with the side that the hand is on. Each is open while no grasp holds in
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -159,8 +160,9 @@ class GraspMap:
         self._axis, self._reach = np.array([hand.approach_axis]), hand.reach
         self._box = CellBox(space.box)
         fields = {"middle": ((3,), np.float64), "line": ((3,), np.float64)}
-        self._archive = self._box.archive(space.genes, dtype=np.float64, extra_fields=fields)
-        self._read_archive()
+        make = partial(self._box.archive, space.genes, dtype=np.float64, extra_fields=fields)
+        self._archive = cache(make)  # pyribs is loaded when the first grasp holds
+        self._set_elites(np.empty((0, space.genes)), np.empty((0, 3)), np.empty((0, 3)))
 
     def __len__(self) -> int:
         """Return the number of cells in which a grasp holds."""
@@ -255,8 +257,10 @@ class GraspMap:
         ranks = rows["outcome"] + np.rint(1000.0 / (1.0 + moved / STILL)) / 2000.0
         middles, lines = self._grip_lines(rows)
         measures = cells(rows["genome"][:, :3])
-        self._archive.add(rows["genome"], ranks, measures, middle=middles, line=lines)
-        self._read_archive()
+        self._archive().add(rows["genome"], ranks, measures, middle=middles, line=lines)
+        held = self._archive().data(["index", "solution", "middle", "line"])
+        order = np.argsort(held["index"])
+        self._set_elites(held["solution"][order], held["middle"][order], held["line"][order])
 
     def _grip_lines(self, rows: Rows) -> tuple[Floats, Floats]:
         """Return the middle of contacts (n, 3) [m] and the line of the two farthest apart (n, 3).
@@ -278,16 +282,14 @@ class GraspMap:
                 lines[row] = unit(ways[None, dot(ways, ways).argmax()])[0]
         return middles, lines
 
-    def _read_archive(self) -> None:
-        """Read the archive, in the order of its cells."""
-        held = self._archive.data(["index", "solution", "middle", "line"])
-        order = np.argsort(held["index"])
-        self.genomes: Floats = held["solution"][order]
+    def _set_elites(self, genomes: Floats, middles: Floats, lines: Floats) -> None:
+        """Take over the elites of the archive, in the order of its cells."""
+        self.genomes = genomes
         """(m, d): the best grasp of each cell that holds one."""
-        self.middles: Floats = held["middle"][order]
+        self.middles = middles
         """(m, 3) [m]: the middle of its contacts, CoM frame."""
-        self.lines: Floats = held["line"][order]
+        self.lines = lines
         """(m, 3): unit vectors along which its fingers press."""
         self.elite_of = np.full(self.grid.size, -1, np.intp)
         """(cells,): the row of these that is in a cell; -1: none."""
-        self.elite_of[self.grid.places(self.genomes[:, :3])] = np.arange(len(order))
+        self.elite_of[self.grid.places(self.genomes[:, :3])] = np.arange(len(genomes))

@@ -20,10 +20,14 @@ released code every emitter starts at a point of its own, a rejected pose is not
 the genomes told are those asked. As there, genomes are clipped for evaluation alone.
 """
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from importlib import import_module
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec, module_from_spec
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,11 +59,29 @@ class CellBox:
 
     def archive(self, genes: int, unit: float = 1.0, **options: Any) -> "GridArchive":
         """Make a pyribs archive with a bin for each cell; measures are cells times `unit`."""
-        from ribs.archives import GridArchive  # takes 1-2 s
-
         # pyribs cuts a range into equal bins: from half a cell below the first middle to half above the last.
         ranges = list(zip((self.low - 0.5) * unit, (self.high + 0.5) * unit, strict=True))
-        return GridArchive(solution_dim=genes, dims=self.high - self.low + 1, ranges=ranges, **options)
+        grid = grid_archive_type()
+        return grid(solution_dim=genes, dims=self.high - self.low + 1, ranges=ranges, **options)
+
+
+@cache
+def grid_archive_type() -> "type[GridArchive]":
+    """Return pyribs' GridArchive, without scikit-learn and numba, which take two seconds to load.
+
+    Other archives use the one, and faster sums by cell the other. So the packages around its module are not
+    run, and sums are numpy's, with the same results. Who imports pyribs later gets the same class.
+    """
+    around = [name for name in ("numpy_groupies", "ribs", "ribs.archives") if name not in sys.modules]
+    for name in around:
+        sys.modules[name] = module_from_spec(cast(ModuleSpec, find_spec(name)))
+    if "numpy_groupies" in around:
+        sums = import_module("numpy_groupies.aggregate_numpy").aggregate
+        vars(sys.modules["numpy_groupies"])["aggregate_nb"] = sums
+    found: type[GridArchive] = import_module("ribs.archives._grid_archive").GridArchive
+    for name in around:
+        del sys.modules[name]
+    return found
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,18 @@
-"""`qdgrasp-coordinator`, `qdgrasp-recorder` and `qdgrasp-router`: the processes of a job."""
+"""`qdgrasp-coordinator`, `qdgrasp-recorder` and `qdgrasp-router`: the processes of a job.
+
+Each loads what it alone needs when it starts, as a run waits for all of them.
+"""
 
 import signal
 import sys
 from contextlib import ExitStack
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import structlog
 import typer
 
-from qdgrasp_coordinator.recorder.recorder_service import RecorderService
-from qdgrasp_coordinator.scheduler import run_plan
-from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
-from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
-from qdgrasp_coordinator.scheduler.run_plan import RunQueue, SingleRunQueue
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -27,10 +25,10 @@ from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.session import Credentials, Role, default_endpoint
 from qdgrasp_protocol.spec import read_run_spec
 from qdgrasp_protocol.zenoh_bus import ZenohBus
-from qdgrasp_tools.campaign.campaign_file import is_campaign, read_campaign
-from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue
 from qdgrasp_tools.cli import options
-from qdgrasp_tools.monitor.queries import QueryServer
+
+if TYPE_CHECKING:
+    from qdgrasp_coordinator.scheduler.run_plan import RunQueue
 
 APPS = {
     name: typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -74,6 +72,9 @@ def coordinator(
 
     Example: qdgrasp-coordinator spec.toml --listen tcp/127.0.0.1:7447
     """  # noqa: D205  # typer joins the lines
+    from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
+    from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
+
     if connect and (listen or insecure):
         raise InputError("--listen and --insecure are for an embedded router: leave them out, or --connect.")
     folder = JobFolder.open(what) if what.is_dir() else None
@@ -106,8 +107,12 @@ def coordinator(
     raise typer.Exit(stop.exit_code)
 
 
-def runs_of_job(what: Path, folder: JobFolder | None) -> RunQueue:
+def runs_of_job(what: Path, folder: JobFolder | None) -> "RunQueue":
     """The runs of a job: a campaign's, or a single one."""
+    from qdgrasp_coordinator.scheduler import run_plan
+    from qdgrasp_tools.campaign.campaign_file import is_campaign, read_campaign
+    from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue
+
     source = what / CAMPAIGN if folder and folder.is_campaign else what
     if source.is_file() and ((folder and folder.is_campaign) or is_campaign(source)):
         campaign = read_campaign(source)
@@ -120,7 +125,7 @@ def runs_of_job(what: Path, folder: JobFolder | None) -> RunQueue:
     else:
         run = RunFolder.open(what)
         spec, prepared = run.spec, run.prepared_scene()
-    return SingleRunQueue(lambda: run_plan.plan_run(spec, prepared), spec.evaluations)
+    return run_plan.SingleRunQueue(lambda: run_plan.plan_run(spec, prepared), spec.evaluations)
 
 
 @APPS["recorder"].command()
@@ -142,6 +147,9 @@ def recorder(
 
     Example: qdgrasp-recorder --connect tls/head:7447 --security security --job mugs --out runs/mugs
     """
+    from qdgrasp_coordinator.recorder.recorder_service import RecorderService
+    from qdgrasp_tools.monitor.queries import QueryServer
+
     with lifetime(f"qdgrasp-recorder {job}") as stop:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # files at a size limit count as a full disk
         configure_logging("recorder")

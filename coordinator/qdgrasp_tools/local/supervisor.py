@@ -25,6 +25,7 @@ from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RowSink
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue, SingleRunQueue, plan_genomes
 from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.outputs import ENDPOINT
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.errors import (
@@ -45,7 +46,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import ProgressDisplay
 
 WORKERS_PER_CORE = 4  # The most workers that are started here: more take memory, and no row comes sooner
-LOOK_INTERVAL = 0.2  # seconds between two looks at the processes
+LOOK_INTERVAL = 0.05  # seconds between two looks at the processes
 SESSION_SECONDS = 2.0  # seconds that one try to open a session at the coordinator may take
 
 
@@ -126,13 +127,13 @@ class JobProcesses:
         processes: ProcessSupervisor,
         display: ProgressDisplay,
         job: str,
-        endpoint: str = "",
+        endpoint: str,
         security_flags: Sequence[str] = (),
     ) -> None:
         self.job = job
         """Its name on the bus."""
         self.endpoint = endpoint
-        """Address that processes connect to; empty: nothing listens yet."""
+        """Address that processes connect to, or the file that it is going to be written to."""
         self._processes = processes
         self._display = display
         self._security_flags = security_flags
@@ -224,15 +225,15 @@ class Supervisor:
             stack.enter_context(self._folder.supervise())
             stack.callback(self._folder.forget_endpoint)
             processes = stack.enter_context(ProcessSupervisor(self._folder.logs, GRACE))
-            job = JobProcesses(
-                processes, self._display, self._folder.name, security_flags=self._config.security_flags
-            )
+            flags = self._config.security_flags
+            endpoint_file = str(self._folder.path.absolute() / ENDPOINT)
+            job = JobProcesses(processes, self._display, self._folder.name, endpoint_file, flags)
             processes.start(COORDINATOR, "qdgrasp_tools.cli.job_processes", self._next_coordinator)
+            job.start_workers(self._config.workers)  # at once: they load while it does
+            job.start_recorder(self._folder.path)
             bus: ZenohBus | None = None
             while self._goes_on(job):
-                if not job.endpoint and (endpoint := self._folder.endpoint) is not None:
-                    self._start_members(job, endpoint)
-                if job.endpoint and bus is None and (bus := self._opened_session(job)) is not None:
+                if bus is None and (bus := self._opened_session(job)) is not None:
                     stack.enter_context(bus)
                     stack.enter_context(bus.subscribe(Keys(job.job).stat("job"), self._news.put))
                     stack.callback(processes.request_stop)  # while the session is being closed
@@ -249,10 +250,16 @@ class Supervisor:
     def _opened_session(self, job: JobProcesses) -> ZenohBus | None:
         """Open the session that hears the job's figures, from this coordinator and later ones.
 
-        None where that fails: the recorder, which fails for the same reason, ends the job with it.
+        None where no coordinator listens yet, or that fails: the recorder, which fails for the same reason,
+        ends the job with it.
         """
+        if (endpoint := self._folder.endpoint) is None:
+            return None
+        self._listen = endpoint
         with suppress(EndpointError, SystemExit):
-            return ZenohBus.connect(job.endpoint, SESSION_SECONDS, self._stop, self._credentials)
+            bus = ZenohBus.connect(job.endpoint, SESSION_SECONDS, self._stop, self._credentials)
+            self._announce(job, endpoint)
+            return bus
         return None
 
     def _next_coordinator(self) -> list[str]:
@@ -267,18 +274,14 @@ class Supervisor:
             arguments += ["--seconds", str(max(0.0, left))]
         return arguments
 
-    def _start_members(self, job: JobProcesses, endpoint: str) -> None:
-        """Start the recorder and the workers, and tell how the job is watched and joined by more."""
+    def _announce(self, job: JobProcesses, endpoint: str) -> None:
+        """Tell how the job is watched, and joined by more workers."""
         flags = " ".join(map(shlex.quote, self._config.security_flags))
         reached = ",".join(place.reached_from(here=False) for place in parse_endpoints(endpoint))
         watch = f"qdgrasp-monitor {shlex.quote(str(self._folder.path))} {flags}".rstrip()
         join = f"qdgrasp-worker --connect {reached} --job {job.job} {flags}".rstrip()
         self._display.say(f"listening on {endpoint}, records in {self._folder.path}")
         self._display.say(f"watch it by `{watch}`, add workers by `{join}`")
-        self._listen = endpoint
-        job.endpoint = parse_endpoints(endpoint)[0].reached_from(here=True)
-        job.start_recorder(self._folder.path)
-        job.start_workers(self._config.workers)
 
     def _take(self, news: Sample | None, job: JobProcesses) -> None:
         """Show the figures that came, if they are some."""

@@ -1,7 +1,8 @@
 """Answers queries about recorded runs: listings, successes and scenes, from the journals.
 
 Answered in threads of the bus; nothing is written, so that no commit waits for an answer. Listings are
-counted bit by bit from the journals.
+counted bit by bit from the journals. What reads campaigns is loaded when it is asked for: a recorder starts
+with a run.
 """
 
 import re
@@ -36,10 +37,6 @@ from qdgrasp_protocol.bus import Bus, Query, answer_chunk
 from qdgrasp_protocol.errors import FolderError, InputError, Refused
 from qdgrasp_protocol.keys import NAME, Keys, last_chunk, parse_number
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.campaign.campaign_file import read_campaign
-from qdgrasp_tools.campaign.object_library import read_skip_report
-from qdgrasp_tools.campaign.summaries import list_objects
-from qdgrasp_tools.report.row_report import row_context
 
 COUNTING_SECONDS = 1.0  # seconds for which rows are counted for one answer; it gives what is counted then
 LISTED_SECONDS = 3.0  # seconds for which a list of objects is given again
@@ -165,6 +162,9 @@ class RunIndex:
             return count.listing
 
     def _list_objects(self) -> tuple[list[ObjectListing], int]:
+        from qdgrasp_tools.campaign.object_library import read_skip_report
+        from qdgrasp_tools.campaign.summaries import list_objects
+
         paths = {path.name: path for path in _run_paths(self._path)}
         specs, begun, uncounted = self._specs(paths), dict[str, RunListing](), 0
         for name in (name for name in specs if name in paths):
@@ -177,6 +177,8 @@ class RunIndex:
 
     def _specs(self, begun: Mapping[str, Path]) -> Mapping[str, RunSpec]:
         """Return the runs of the campaign, or those that have begun and whose spec is good, by name."""
+        from qdgrasp_tools.campaign.campaign_file import read_campaign
+
         file = self._path / CAMPAIGN
         if not file.is_file():
             specs = dict[str, RunSpec]()
@@ -239,6 +241,8 @@ class QueryServer(ExitStack):
 
     def finds(self, query: Query) -> bytes:
         """Return successes of the run `run` from journal number `from` on."""
+        from qdgrasp_tools.report.row_report import row_context
+
         run = _parameters(query).get("run", "")
         path = JobFolder(self._path).run_path(run)
         if not NAME.fullmatch(run) or not RunFolder.is_run(path):

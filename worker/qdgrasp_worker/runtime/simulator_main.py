@@ -6,6 +6,7 @@ qdgrasp_worker.runtime.simulator_main`, with name and worlds of a device where t
 standard input; all prints go to standard error.
 """
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -135,6 +136,7 @@ def main(load: LoadEvaluator = load_scene, probe: ProbePlatform = platform) -> N
     """Entry point of the simulator."""
     process_limits.end_with_parent_only()
     setproctitle("qdgrasp-simulator")
+    os.environ.setdefault("MUJOCO_GL", "disable")  # MuJoCo looks for a display else, in a process of its own
     connection = MessageConnection(Connection(sys.stdin.fileno()))
     try:
         serve(connection, load, probe)
