@@ -6,7 +6,9 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
@@ -289,6 +291,16 @@ class TestZenohBus:
             endpoint = f"tcp/127.0.0.1:{held.getsockname()[1]}"
             with pytest.raises(EndpointError, match=f"Nothing answers within 0.3 s at {endpoint}"):
                 ZenohBus.connect(endpoint, 0.3)
+
+    def test_a_file_with_the_endpoint_is_waited_for(self, tmp_path: Path) -> None:
+        endpoint, file = own_endpoint(), tmp_path / "endpoint"
+        with ThreadPoolExecutor() as pool:
+            opening = pool.submit(ZenohBus.connect, str(file), PATIENCE)
+            with ZenohBus.router(endpoint.replace("127.0.0.1", "0.0.0.0"), insecure=True):
+                (tmp_path / "new").write_text(endpoint.replace("127.0.0.1", "0.0.0.0") + ",tcp/10.0.0.1:2\n")
+                assert not opening.done()
+                (tmp_path / "new").rename(file)
+                opening.result(PATIENCE).close()
 
     def test_a_free_endpoint_is_another_one_while_the_default_is_taken(self, monkeypatch) -> None:
         monkeypatch.setattr(session, "PORT", free_port())

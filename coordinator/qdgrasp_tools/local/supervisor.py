@@ -224,6 +224,7 @@ class Supervisor:
         with ExitStack() as stack:
             stack.enter_context(self._folder.supervise())
             stack.callback(self._folder.forget_endpoint)
+            self._folder.forget_endpoint()
             processes = stack.enter_context(ProcessSupervisor(self._folder.logs, GRACE))
             flags = self._config.security_flags
             endpoint_file = str(self._folder.path.absolute() / ENDPOINT)
@@ -255,7 +256,6 @@ class Supervisor:
         """
         if (endpoint := self._folder.endpoint) is None:
             return None
-        self._listen = endpoint
         with suppress(EndpointError, SystemExit):
             bus = ZenohBus.connect(job.endpoint, SESSION_SECONDS, self._stop, self._credentials)
             self._announce(job, endpoint)
@@ -263,7 +263,8 @@ class Supervisor:
         return None
 
     def _next_coordinator(self) -> list[str]:
-        """Forget where the last coordinator listened; return the arguments of the next."""
+        """Return the arguments of the next coordinator, which listens where the last did."""
+        self._listen = self._folder.endpoint or self._listen
         self._folder.forget_endpoint()
         arguments = ["coordinator", str(self._folder.path), *self._config.security_flags]
         arguments += ["--listen", self._listen] if self._listen else []
