@@ -296,8 +296,8 @@ class TestZenohBus:
         endpoint, file = own_endpoint(), tmp_path / "endpoint"
         with ThreadPoolExecutor() as pool:
             opening = pool.submit(ZenohBus.connect, str(file), PATIENCE)
-            with ZenohBus.router(endpoint.replace("127.0.0.1", "0.0.0.0"), insecure=True):
-                (tmp_path / "new").write_text(endpoint.replace("127.0.0.1", "0.0.0.0") + ",tcp/10.0.0.1:2\n")
+            with ZenohBus.router(endpoint):
+                (tmp_path / "new").write_text(f"{endpoint},tcp/10.0.0.1:2\n")
                 assert not opening.done()
                 (tmp_path / "new").rename(file)
                 opening.result(PATIENCE).close()
