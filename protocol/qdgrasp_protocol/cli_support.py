@@ -9,7 +9,7 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.exceptions import TyperException
@@ -116,8 +116,8 @@ def run_command(app: typer.Typer, name: str) -> None:
     finally:
         for number in STOP_SIGNALS:
             signal.signal(number, _exit_at_once)
-    end = os._exit if is_supervised else sys.exit  # at once: Python takes its time to forget its modules
-    end(code if isinstance(code, int) else 0)
+    leave: Any = os._exit if is_supervised else sys.exit  # Python takes its time to forget its modules
+    leave(code if isinstance(code, int) else 0)
 
 
 def _disk_fault(error: OSError) -> str:
