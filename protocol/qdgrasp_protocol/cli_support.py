@@ -9,7 +9,7 @@ import time
 from importlib.metadata import version
 from pathlib import Path
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
@@ -104,7 +104,9 @@ def run_command(app: typer.Typer, name: str) -> None:
     except QdgraspError as error:
         code = _print_error(name, str(error), error.exit_code)
     except TyperException as error:
-        code = _print_usage_error(name, error)
+        code = InputError.exit_code
+        if error.format_message():  # an empty one printed the help
+            _print_error(name, usage_error(error, name), code)
     except typer.Abort:
         code = 130
     except BrokenPipeError:
@@ -116,8 +118,10 @@ def run_command(app: typer.Typer, name: str) -> None:
     finally:
         for number in STOP_SIGNALS:
             signal.signal(number, _exit_at_once)
-    leave: Any = os._exit if is_supervised else sys.exit  # Python takes its time to forget its modules
-    leave(code if isinstance(code, int) else 0)
+    code = code if isinstance(code, int) else 0
+    if is_supervised:
+        os._exit(code)  # all is closed, and Python takes up to half a second to forget its modules
+    sys.exit(code)
 
 
 def _disk_fault(error: OSError) -> str:
@@ -163,13 +167,6 @@ def _wait_for_signal(end: int) -> None:
         pass
     time.sleep(SIGNAL_GRACE)
     os._exit(128 + number)
-
-
-def _print_usage_error(name: str, error: TyperException) -> int:
-    """Report a wrong command line and return its exit code; an empty one printed the help."""
-    if error.format_message():
-        _print_error(name, usage_error(error, name), InputError.exit_code)
-    return InputError.exit_code
 
 
 def _print_error(name: str, sentence: str, code: int) -> int:

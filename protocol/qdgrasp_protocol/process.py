@@ -352,17 +352,14 @@ class ProcessSupervisor:
 
     def pids(self) -> dict[str, int]:
         """Return the ids of the running processes by name."""
-        return {name: process.pid for name, process in self._running().items()}
-
-    def _running(self) -> dict[str, subprocess.Popen[bytes]]:
-        return {c.name: c.process for c in self._children.values() if c.process.poll() is None}
+        return {c.name: c.process.pid for c in self._children.values() if c.process.poll() is None}
 
     def request_stop(self, number: int = signal.SIGTERM) -> None:
         """Send every process a signal to stop; the grace begins with the first."""
         if self._leave_by is None:
             self._leave_by = time.monotonic() + self._grace
-        for process in self._running().values():
-            process.send_signal(number)
+        for child in self._children.values():
+            child.process.send_signal(number)  # nothing is sent to one that has ended
 
     def is_late(self, now: float) -> bool:
         """True once the grace after a request to stop is over."""

@@ -67,10 +67,11 @@ class CellBox:
 
 @cache
 def grid_archive_type() -> "type[GridArchive]":
-    """Return pyribs' GridArchive, without scikit-learn and numba, which take two seconds to load.
+    """Return pyribs' GridArchive, without scikit-learn and numba.
 
-    Other archives use the one, and faster sums by cell the other. So the packages around its module are not
-    run, and sums are numpy's, with the same results. Who imports pyribs later gets the same class.
+    They take two seconds to load; other archives use the one, and faster sums by cell the other. So the
+    packages around its module are not run, and sums are numpy's, with the same results. Who imports pyribs
+    later gets the same class.
     """
     around = [name for name in ("numpy_groupies", "ribs", "ribs.archives") if name not in sys.modules]
     for name in around:
