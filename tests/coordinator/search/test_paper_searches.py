@@ -1,5 +1,8 @@
 """The optimisation archive against a dictionary of cells, and the parents chosen from it."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -122,3 +125,24 @@ def test_mutation_moves_the_stated_share_of_genes_by_the_stated_spread() -> None
     assert moved.mean() == pytest.approx(0.3, abs=0.01)
     assert children[moved].std() == pytest.approx(0.1, abs=0.002)
     assert (~moved.any(axis=1)).mean() == pytest.approx(0.7**7, abs=0.01)
+
+
+LIGHT = """
+import sys
+import numpy as np
+from qdgrasp_coordinator.search.paper_searches import grid_archive_type
+
+found = grid_archive_type()
+assert not {"sklearn", "numba", "ribs", "numpy_groupies"} & set(sys.modules)
+one = {"solution_dim": 1, "dims": [2], "ranges": [(0, 1)]}
+batch = np.arange(4.0)[:, None], [1.0, 2.0, 2.0, 0.0], [[0.1], [0.1], [0.1], [0.9]]
+grid = found(**one)
+grid.add(*batch)
+import ribs
+assert ribs.archives.GridArchive is found
+assert grid.data("solution").ravel().tolist() == [1.0, 3.0]  # of equal ones the first
+"""
+
+
+def test_the_grid_of_pyribs_is_loaded_without_what_other_archives_need() -> None:
+    subprocess.run([sys.executable, "-c", LIGHT], check=True)
