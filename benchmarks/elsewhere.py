@@ -100,11 +100,11 @@ def found(out: Path, thing: Sequence[object], name: str, method: str, asked: arg
 
 
 def scored(run: Path, asked: argparse.Namespace, *flags: str) -> Path:
-    """Return the folder of the best grasps by eta, of twice as many; they are scored if it is not there."""
+    """Return the folder of the best grasps by eta, of six times as many; made if it is not there."""
     made = run.with_name("-".join([run.name, "eta", *(flag.removeprefix("--") for flag in flags)]))
     if not made.exists():
         trials = ("--base", "physical", "--engine", "mujoco", "--trials", asked.trials)
-        choice = ("--top", asked.grasps, "--candidates", 2 * asked.grasps)
+        choice = ("--top", asked.grasps, "--candidates", 6 * asked.grasps)
         qdgrasp("rerank", run, *trials, *choice, *flags, "--workers", asked.workers, "--out", made)
     return made
 

@@ -117,7 +117,7 @@ def export(
     runs/RUN-robust, of which the file then is. Of several runs, or of a campaign, OUT is a folder
     with an index and a card; flags choose from each run.
 
-    Example: qdgrasp export runs/mug --verify-top 200 --format isaac -o grasps.yaml
+    Example: qdgrasp export runs/mug --verify-top 600 --format isaac -o grasps.yaml
 
     Example: qdgrasp export runs/mug-s0 runs/mug-s1 runs/campaign --format parquet -o grasps
     """  # noqa: D205  # typer joins the lines

@@ -219,7 +219,6 @@ def resume(
 
 
 FINALISTS = 100
-FEW_TRIALS = 10  # Trials by which finalists are chosen
 STILL = 2e-4  # Way of an object in a closing hand, below which it had been at rest [m]
 
 
@@ -233,7 +232,11 @@ def rerank(
     ] = FINALISTS,
     candidates: Annotated[
         int | None,
-        typer.Option(min=1, max=MAX_POPULATION, help="Choose them from so many, by 10 trials of each."),
+        typer.Option(
+            min=1,
+            max=MAX_POPULATION,
+            help="Choose them from so many, by 4 trials of each and 10 of the better.",
+        ),
     ] = None,
     trials: Annotated[
         int, typer.Option(min=1, max=TRIALS, help="Trials of each; 20 harder after 100.")
@@ -331,11 +334,12 @@ def score_again(
         is_still = object_motion(tried.rows)[:, 0] < STILL  # others slip on with each closing
         is_seated = settled_mask(chosen) & is_still & (tried.rows["outcome"] == Outcome.HELD)
         chosen[is_seated] = seats[is_seated]
-    if len(chosen) > top:
-        few = source_runs.rerank_spec(source, chosen, **asked | {"trials": FEW_TRIALS})
-        tried = _evaluated(few, prepared, config, f"trying each grasp {FEW_TRIALS} times")
-        best = best_first(tried.rows, tried.scores)[:top]
-        chosen, is_seated = chosen[best], is_seated[best]
+    for few, most in ((4, 2 * top), (10, top)):
+        if len(chosen) > most:
+            spec = source_runs.rerank_spec(source, chosen, **asked | {"trials": few})
+            tried = _evaluated(spec, prepared, config, f"trying each grasp {few} times")
+            best = best_first(tried.rows, tried.scores)[:most]
+            chosen, is_seated = chosen[best], is_seated[best]
     places = tuple(np.flatnonzero(is_seated).tolist()) or None
     spec = msgspec.structs.replace(source_runs.rerank_spec(source, chosen, **asked), reseated=places)
     echo(f"scoring {counted(len(chosen), 'grasp')} of {source.path} again", err=True)

@@ -178,7 +178,7 @@ class GraspWriter:
         is_ranked = self.choice.top is not None or self.choice.diverse is not None
         if is_ranked and takes_held(folder.spec) and not chosen.grasps.trials.any():
             note += (
-                " They were ranked by the object's motion; --verify-top 200 scores them, which ranks better."
+                " They were ranked by the object's motion; --verify-top 600 scores them, which ranks better."
             )
         words = grasp_words(len(chosen.grasps), chosen.failures)
         return f"{words} written to {output.path}, poses in the object's {self.frame} frame.{note}"
