@@ -57,15 +57,15 @@ def _dots_in_key(line: str) -> int:
     return max(part.count(".") for part in SEPARATORS.split(line)) if line.count(".") > MAX_DOTS else 0
 
 
-EngineName = Literal["bullet", "mujoco", "mujoco-warp"]
-"""The physics engines (docs/engines.md)."""
+EngineName = Literal["bullet", "mujoco", "mujoco-fine", "mujoco-warp"]
+"""The physics engines (docs/engines.md); `mujoco-fine` simulates `physical` in shorter steps."""
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 EngineChoice = Literal[EngineName, "bullet,mujoco", "mujoco,bullet"]
 """An engine, or two: what holds in the first is tried in the second."""
 DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
 DEVICE_ENGINE: Literal["mujoco-warp"] = "mujoco-warp"  # Of workers with a device alone
 DEVICE_VARIABLE = "QDGRASP_DEVICE"  # Variable that names the device of workers
-ENGINE_PACKAGES = {"bullet": "pybullet", "mujoco": "mujoco", DEVICE_ENGINE: "mujoco-warp"}
+ENGINE_PACKAGES = {name: name for name in ENGINES} | {"bullet": "pybullet", "mujoco-fine": "mujoco"}
 
 
 class MissingEngine(InputError):

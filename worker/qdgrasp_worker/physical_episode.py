@@ -172,7 +172,7 @@ def target_motion(drive: FingerDrive, place: float) -> tuple[int, float]:
     return sense, min(max(drive.closed + sense * drive.lead, drive.lowest), drive.highest)
 
 
-RESTING_LOOKS = 3  # Looks in a row at which all must rest
+RESTING_LOOKS = 2  # Looks in a row at which all must rest
 REST_SPEED, REST_SPIN = 2e-3, 0.04  # Speeds below which a released object rests [m/s, rad/s]
 Look = tuple[list[float], Vector, Quaternion]  # Places of joints, position and quaternion of the object
 TABLE_HALF = (0.5, 0.5, 0.05)  # Half sides of a table [m]

@@ -14,17 +14,14 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.rows import RESULT, pack
 from qdgrasp_protocol.spec import (
-    DEFAULT_ENGINE,
     DEVICE_ENGINE,
-    ENGINE_PACKAGES,
     Device,
     RunSpec,
     has_bullet,
 )
-from qdgrasp_worker.engines import ENGINES
 from qdgrasp_worker.evaluator import DEVICE_MODULE, Evaluator, make_evaluator
 
-EVALUATION = 3
+EVALUATION = 4
 """Number of what an evaluation computes; raised when golden digests of rows change on purpose."""
 PROBES = 16
 LEAST_AGREEING = 14  # Probes that have the same outcome on a device as in MuJoCo, at least
@@ -45,12 +42,8 @@ def platform(device: Device | None = None) -> dict[str, str]:
     found |= {"machine": machine.machine(), "evaluation": str(EVALUATION)}
     if has_bullet():
         found |= {"pybullet": version("pybullet"), "probes": probe_digest()}
-    for name in ENGINES:
-        if name not in (DEFAULT_ENGINE, DEVICE_ENGINE):
-            found |= {
-                name: import_module(ENGINE_PACKAGES[name]).__version__,
-                f"{name}_probes": physical_probe_digest(name),
-            }
+    mujoco: str = import_module("mujoco").__version__
+    found |= {"mujoco": mujoco, "mujoco_probes": physical_probe_digest("mujoco")}
     return found | (device_platform(device) if device else {})
 
 

@@ -13,6 +13,7 @@ IN_MUJOCO = ("mujoco", "mujoco_probes")
 ENGINE_ENTRIES = {
     "bullet": ("pybullet", "probes"),
     "mujoco": IN_MUJOCO,
+    "mujoco-fine": IN_MUJOCO,
     DEVICE_ENGINE: (DEVICE_ENGINE, "warp", "warp_device", *IN_MUJOCO),
 }
 """Entries of a platform that concern the rows of an engine alone, first its version.

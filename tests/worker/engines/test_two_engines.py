@@ -40,3 +40,13 @@ def test_what_holds_in_the_first_engine_has_the_verdict_of_the_second(order, fri
     assert outcomes(rows[is_tried]) == expected
     assert outcomes(rows[~is_tried]) == outcomes(first[~is_tried])
     assert friction is None or Outcome.DROPPED in expected
+
+
+def test_shorter_steps_of_mujoco_change_few_verdicts():
+    genomes = draw(POSES, near=POSES)
+    coarse, fine = (
+        evaluated(scene(name, None), "approach", genomes)["outcome"] == Outcome.HELD
+        for name in ("mujoco", "mujoco-fine")
+    )
+    assert coarse.sum() > 3
+    assert (coarse == fine).mean() >= 0.95
