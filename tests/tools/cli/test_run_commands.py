@@ -76,8 +76,11 @@ def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) ->
     assert spec.poses == ((0, 0, 0, 0, 0, 0, 1),) * 3
 
 
-def test_a_jaw_closes_from_where_it_settled_if_it_rests_there_and_the_best_few_go_on(tmp_path, monkeypatch):
-    spec = msgspec.structs.replace(SPEC, protocol="physical", grasps=None)
+@pytest.mark.parametrize(("hand", "seats"), [("panda", (0,)), ("allegro", None)])
+def test_a_jaw_alone_closes_from_where_it_settled_if_it_rests_there_and_the_best_few_go_on(
+    hand, seats, tmp_path, monkeypatch
+):
+    spec = msgspec.structs.replace(SPEC, gripper=hand, protocol="physical", grasps=None)
     scene = build_scene(spec)
     shape = RowShape(len(layout(scene, "contact")), len(scene.gripper.joints), scene.contact_slots)
     rows = shape.empty(6)
@@ -91,27 +94,28 @@ def test_a_jaw_closes_from_where_it_settled_if_it_rests_there_and_the_best_few_g
 
     def scored(spec: RunSpec, prepared: object, genomes: NDArray[np.float32], *_: object) -> Rows:
         asked.append(spec.trials)
-        found = RowShape(7, 2, scene.contact_slots).empty(len(genomes))
+        found = RowShape(7, len(scene.gripper.joints), scene.contact_slots).empty(len(genomes))
         found["index"], found["outcome"] = np.arange(len(genomes)), Outcome.HELD
         found["base_to_object"][:, 6] = found["settled"][:, 6] = 1
         if spec.trials == 1:
             found["outcome"][4] = Outcome.OVERLAP
             found["settled"][2, 0] = 0.001  # it slips on
         again = np.repeat(found[found["outcome"] == Outcome.HELD], spec.trials)
-        again["trial"], again["fitness"] = 1, again["index"]  # the last is the best
+        again["trial"] = 1
+        again["fitness"] = np.round(10 * genomes[again["index"], 0])  # the last is the best
         return np.concatenate([found, again])
 
     monkeypatch.setattr(run_commands, "score_genomes", scored)
     monkeypatch.setattr(run_commands, "start_run", lambda spec, *_: made.append(spec))
     values, config = {"protocol": "robust", "trials": 100}, LocalJobConfig(1)
     for reseat in (True, False):
-        run_commands.score_again(source, tmp_path / "out", config, values, NO_LIMITS, 4, 6, reseat=reseat)
+        run_commands.score_again(source, tmp_path / "out", config, values, NO_LIMITS, 2, 6, reseat=reseat)
     seated, plain = made
-    assert asked == [1, 10, 10]
-    assert (seated.trials, seated.base, seated.reseated) == (120, "physical", (0, 2))
-    assert [pose[0] for pose in seated.poses] == pytest.approx([0.506, 0.4, 0.304, 0.2])
+    assert asked == [*([1] if seats else []), 4, 10, 4, 10]
+    assert (seated.trials, seated.base, seated.reseated) == (120, "physical", seats)
+    assert [pose[0] for pose in seated.poses] == pytest.approx([0.506 if seats else 0.5, 0.4])
     assert plain.reseated is None
-    assert [pose[0] for pose in plain.poses] == pytest.approx([0.5, 0.4, 0.3, 0.2])
+    assert [pose[0] for pose in plain.poses] == pytest.approx([0.5, 0.4])
 
 
 EVIL = "\x1b[2J"
