@@ -2,7 +2,6 @@
 
 import errno
 import os
-import shutil
 import stat
 import tempfile
 from pathlib import Path
@@ -13,7 +12,6 @@ ASSET_PATH = "QDGRASP_ASSET_PATH"
 CACHE = "QDGRASP_CACHE"
 DATA = "QDGRASP_DATA"
 UNFINISHED = ".unfinished-"  # Beginning of the names of files that are being written
-ABANDONED = 86400.0  # Seconds after which a file that is being written is one that a process left behind
 NOT_THERE, A_FOLDER, SPECIAL = "does not exist", "is a folder", "is no ordinary file"
 """Reasons why a path has no ordinary file, as the end of a sentence."""
 
@@ -60,27 +58,13 @@ def cache_folder() -> Path:
     return _own_folder(CACHE, "XDG_CACHE_HOME", "~/.cache")
 
 
-def write_whole(file: Path, content: bytes, *, is_synced: bool = False) -> None:
-    """Write a file and its folder, whole or not at all; else `OSError`.
-
-    With `is_synced` that holds after a power failure too.
-    """
+def write_whole(file: Path, content: bytes) -> None:
+    """Write a file and its folder, whole or not at all; else `OSError`."""
     file.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=file.parent, prefix=UNFINISHED) as folder:
         written = Path(folder) / file.name
-        with written.open("wb") as stream:
-            stream.write(content)
-            if is_synced:
-                stream.flush()
-                os.fsync(stream.fileno())
+        written.write_bytes(content)
         written.replace(file)
-
-
-def remove_unfinished(folder: Path, now: float) -> None:
-    """Remove files of `write_whole` that ended processes left in a folder; else `OSError`."""
-    for draft in folder.glob(f"{UNFINISHED}*"):
-        if now - draft.stat().st_mtime > ABANDONED:
-            shutil.rmtree(draft, ignore_errors=True)
 
 
 def data_folder() -> Path:

@@ -60,6 +60,7 @@ class AssetReport(Struct, frozen=True, kw_only=True):
 WATER = 1000.0  # Density of water [kg/m3]
 LIGHTEST, HEAVIEST = 20.0, 12_000.0  # Plausible densities of an object: foam to lead [kg/m3]
 ROUNDING = 1e-9
+MOST_NAMES = 20  # Geometries that a note names
 
 
 class ConvexPartsReport(Struct, frozen=True, kw_only=True):
@@ -162,8 +163,12 @@ def inspect_object(
         faults=draft.faults,
     )
     notes = []
-    if draft.geometries > 1:
-        notes.append(f"the file holds {draft.geometries} geometries, which are taken as one object")
+    if len(draft.geometries) > 1:
+        names = ", ".join(draft.geometries[:MOST_NAMES])
+        notes.append(
+            f"the file holds {len(draft.geometries)} geometries, which are taken as one object: {names}; "
+            "--mesh geometry=NAME takes one"
+        )
     if found.faults:
         return msgspec.structs.replace(found, notes=tuple(notes))
     density = None if mass is None else mass / mesh.volume

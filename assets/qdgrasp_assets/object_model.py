@@ -8,6 +8,7 @@ import logging
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -27,6 +28,8 @@ from qdgrasp_assets.geometry.mesh_io import (
 from qdgrasp_assets.geometry.mesh_repair import (
     MOST_TRIANGLES,
     body_gap,
+    fill_small_holes,
+    largest_body,
     prepare_mesh,
     repair_mesh,
     surface_faults,
@@ -44,8 +47,8 @@ class ObjectDraft:
 
     mesh: Mesh
     """In metres, repaired."""
-    geometries: int
-    """Number of the file's geometries, which are one object."""
+    geometries: tuple[str, ...]
+    """Names of the file's geometries that are one object."""
     repairs: tuple[str, ...]
     faults: tuple[str, ...]
     """Faults that are left, in words; empty where it can be used."""
@@ -56,7 +59,8 @@ class ObjectDraft:
             return self.faults
         return (
             f"it is of bodies with about {gap:.2g} m of air between them, and an object is one rigid thing; "
-            "give each a file of its own, or say with --mesh glued that they are moved as one",
+            "give each a file of its own, say with --mesh glued that they are moved as one, or keep only one "
+            "with --mesh largest",
         )
 
 
@@ -67,31 +71,34 @@ def read_draft(
     path: Path,
     scale: float | None = None,
     preparation: MeshPreparation | None = None,
-    *,
-    fill_holes: bool = False,
 ) -> ObjectDraft:
     """Read and repair a mesh file, and list its faults as an object.
 
     `scale` is metres to a unit of the file; None: 1, unless the file says another unit. `preparation` are
-    changes that are asked for, and `fill_holes` fills small holes. Raises `AssetError` if the file is not
-    there, no mesh, empty or without area, or says another unit than it is read in.
+    changes that are asked for. Raises `AssetError` if the file is not there, no mesh, empty or without area,
+    or says another unit than it is read in.
     """
     asked = preparation or AS_IT_IS
-    file = read_mesh_file(path)
+    file, changes = read_mesh_file(path, asked.geometry), asked.remesh or asked.hull or asked.simplify
     check_stated(str(path), file.unit, scale)
     mesh = file.mesh if scale is None else file.mesh.scaled(scale)
-    if len(mesh.faces) > MOST_TRIANGLES and not asked.changes_mesh:
-        return ObjectDraft(mesh, file.geometries, (), surface_faults(mesh))
     repairs: tuple[str, ...] = ()
+    if asked.largest:
+        mesh, words = largest_body(mesh)
+        repairs = (words,) if words else ()
+    if len(mesh.faces) > MOST_TRIANGLES and not changes:
+        return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh))
     if not asked.hull:
-        mesh, repairs = repair_mesh(mesh, fill_holes=fill_holes or asked.remesh)
-    if asked.changes_mesh and mesh.areas.any():
+        fill = partial(fill_small_holes, flat=asked.fill) if asked.fill or asked.remesh else None
+        mesh, done = repair_mesh(mesh, fill)
+        repairs += done
+    if changes and mesh.areas.any():
         try:
-            mesh, changes = prepare_mesh(mesh, asked)
+            mesh, done = prepare_mesh(mesh, asked)
         except AssetError as error:
             return ObjectDraft(mesh, file.geometries, repairs, (str(error),))
         mesh, after = repair_mesh(mesh)
-        repairs += (*changes, *after)
+        repairs += (*done, *after)
     if not len(mesh.faces):
         raise AssetError(f"The mesh '{path}' has no triangle with an area; draw it again.")
     return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh))
@@ -242,8 +249,6 @@ def check_mesh(
         )
     except AssetError as error:
         return MeshCheck(faults=(str(error).replace(f"'{path}' ", "").rstrip("."),))
-    except OSError as error:
-        return MeshCheck(faults=(f"it cannot be read: {error.strerror or error}",))
     except Exception as error:  # noqa: BLE001  # one mesh of thousands ends no campaign
         return MeshCheck(faults=(f"its check failed: {type(error).__name__}: {error}; draw it again",))
     with suppress(OSError):  # a cache that cannot be written is no error

@@ -5,8 +5,6 @@ it is the same, and it is kept on the disk under the key of its task. Name, lice
 part of it.
 """
 
-import os
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -18,7 +16,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from qdgrasp_assets import ycb
-from qdgrasp_assets.asset_paths import cache_folder, named_path, remove_unfinished, write_whole
+from qdgrasp_assets.asset_paths import cache_folder, named_path, write_whole
 from qdgrasp_assets.code_version import building_code, file_digest
 from qdgrasp_assets.geometry.collision_parts import (
     FingerClearance,
@@ -190,9 +188,6 @@ def shape_of(
     )
 
 
-MOST_NAME_BYTES = 200  # Longest name of a file that travels
-
-
 def shape_task(spec: RunSpec) -> ShapeTask | None:
     """Return the task of building the shape of a spec's object.
 
@@ -204,7 +199,7 @@ def shape_task(spec: RunSpec) -> ShapeTask | None:
     path = named_path(spec.object)
     check_file(path)
     mesh, links = f"mesh{path.suffix.lower()}", {name: path.parent / name for name in linked_names(path)}
-    if mesh in links or any(len(name.encode()) > MOST_NAME_BYTES for name in links):
+    if mesh in links:
         return None
     try:
         files = [
@@ -272,34 +267,18 @@ def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
     return shape
 
 
-SUFFIX = ".shape"
-
-
 class ShapeStore:
-    """Shapes on the disk by the keys of their tasks.
+    """Shapes in the cache by the keys of their tasks.
 
-    Its folder may be deleted at any time, and several processes may use it at once. Its size is bounded: the
-    shapes that were not used for longest go first.
+    Its folder may be deleted at any time, and several processes may use it at once.
     """
-
-    MOST_BYTES = 8 << 30
-    SWEPT = 256  # One put of so many, by its key, looks at the size of the whole
-    KEPT = 0.9  # Share of the most bytes that is left then
-
-    def __init__(self, folder: Path | None = None, most_bytes: int = MOST_BYTES) -> None:
-        self._folder = folder  # None: in the cache
-        self._most_bytes = most_bytes
 
     def get(self, key: str) -> ObjectShape | None:
         """Return a shape; None if it is not there, or not whole."""
-        file = self._file(key)
         try:
-            shape = unpack_shape(file.read_bytes())
+            return unpack_shape(self._file(key).read_bytes())
         except (OSError, MessageError):
             return None
-        with suppress(OSError):
-            os.utime(file)
-        return shape
 
     def __contains__(self, key: str) -> bool:
         """Return whether a file of this key is there, whole or not."""
@@ -310,22 +289,6 @@ class ShapeStore:
         file = self._file(key)
         with suppress(OSError):
             write_whole(file, payload)
-            if int(key, 16) % self.SWEPT == 0:
-                self._sweep(file.parent, time.time())
 
     def _file(self, key: str) -> Path:
-        return (self._folder or cache_folder() / "shapes") / f"{key}{SUFFIX}"
-
-    def _sweep(self, folder: Path, now: float) -> None:
-        """Remove the shapes that were not used for longest, where all of them are too large."""
-        remove_unfinished(folder, now)
-        with os.scandir(folder) as entries:
-            shapes = {entry.path: entry.stat() for entry in entries if entry.name.endswith(SUFFIX)}
-        total = sum(stat.st_size for stat in shapes.values())
-        if total <= self._most_bytes:
-            return
-        for path, stat in sorted(shapes.items(), key=lambda item: item[1].st_mtime):
-            if total <= self.KEPT * self._most_bytes:
-                return
-            Path(path).unlink(missing_ok=True)
-            total -= stat.st_size
+        return cache_folder() / "shapes" / f"{key}.shape"

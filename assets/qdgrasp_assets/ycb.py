@@ -4,19 +4,17 @@
 gzipped tar archive: nothing else is unpacked, and no name in it becomes a path here.
 """
 
-import json
 import tarfile
 import tempfile
 import tomllib
 import zlib
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 import numpy as np
-from msgspec import Struct, convert
+from msgspec import Struct
 
 from qdgrasp_assets.asset_paths import data_folder, on_asset_path, searched, write_whole
 from qdgrasp_assets.geometry.collision_parts import Tell, collision_parts
@@ -70,18 +68,11 @@ def correct_mesh(mesh: Mesh, scan: Scan) -> Mesh:
     return mesh.moved(off) if np.abs(off).max() > FRAME_TOLERANCE else mesh
 
 
-def scan_differences(mesh: Mesh, scan: Scan) -> tuple[str, ...]:
-    """Describe a corrected mesh's differences from the table; empty if it is that scan."""
-    found = []
-    if not np.allclose(mesh.extents, scan.extents, rtol=0, atol=EXTENTS_TOLERANCE):
-        found.append(
-            f"it is {lengths_in_words(mesh.extents)} m large instead of {lengths_in_words(scan.extents)} m"
-        )
-    if not np.isclose(mesh.volume, scan.volume, rtol=VOLUME_TOLERANCE, atol=0):
-        found.append(f"it encloses {mesh.volume * 1e6:.2f} cm3 instead of {scan.volume * 1e6:.2f} cm3")
-    if len(mesh.faces) != scan.faces:
-        found.append(f"it has {len(mesh.faces)} triangles instead of {scan.faces}")
-    return tuple(found)
+def is_scan(mesh: Mesh, scan: Scan) -> bool:
+    """Return whether a corrected mesh has the measures of the table."""
+    is_of_size = np.allclose(mesh.extents, scan.extents, rtol=0, atol=EXTENTS_TOLERANCE)
+    is_of_volume = np.isclose(mesh.volume, scan.volume, rtol=VOLUME_TOLERANCE, atol=0)
+    return bool(is_of_size and is_of_volume and len(mesh.faces) == scan.faces)
 
 
 def lengths_in_words(extents: Iterable[float]) -> str:
@@ -152,7 +143,10 @@ def read_scan(name: str, protocol: str) -> ObjectModel:
 
 def _reference_entry(folder: Path) -> ReferenceEntry:
     index = folder.parent / "objects.json"
-    return convert(json.loads(index.read_text(encoding="utf-8"))[folder.name], ReferenceEntry)
+    try:
+        return msgspec.json.decode(index.read_bytes(), type=dict[str, ReferenceEntry])[folder.name]
+    except (OSError, msgspec.MsgspecError, KeyError) as error:
+        raise AssetError(f"'{index}' does not describe '{folder.name}': {error}.") from None
 
 
 def check_there(name: str) -> None:
@@ -184,29 +178,7 @@ def read_member(archive: Path, member: str) -> bytes:
 SILENCE_LIMIT = 30.0  # s without a byte
 
 
-@dataclass
-class _DownloadProgress:
-    """Tells how much of a file has come, as a progress bar of pooch."""
-
-    name: str
-    tell: Tell
-    total: int = 0  # Bytes expected, which pooch sets; 0 where the server does not say
-    here: int = 0
-
-    def update(self, count: int) -> None:
-        """Count bytes that came."""
-        self.here += count
-        self.tell(f"{self.name}: {self.here >> 20} MiB" + (f" of {self.total >> 20}" if self.total else ""))
-
-    def reset(self) -> None:
-        """Begin anew."""
-        self.here = 0
-
-    def close(self) -> None:
-        """Leave the bar as it is."""
-
-
-def download(url: str, file: Path, progress: _DownloadProgress) -> None:
+def download(url: str, file: Path) -> None:
     """Download `url`, http or https, into `file`, whole or not at all.
 
     Raises `AssetError` if there is no such file or the server cannot be reached, and `OSError` if the file
@@ -218,7 +190,7 @@ def download(url: str, file: Path, progress: _DownloadProgress) -> None:
     import requests
 
     pooch.get_logger().setLevel("WARNING")
-    loader = pooch.HTTPDownloader(progressbar=progress, timeout=SILENCE_LIMIT)
+    loader = pooch.HTTPDownloader(timeout=SILENCE_LIMIT)
     try:
         pooch.retrieve(url, known_hash=None, fname=file.name, path=file.parent, downloader=loader)
     except requests.RequestException as error:
@@ -243,17 +215,17 @@ class WrongScan(AssetError):
 def fetch_scan(name: str, home: str, tell: Tell) -> Path:
     """Fetch one of `SCAN_NAMES` into the data folder; it is checked first, and written whole.
 
-    `home` is the address that the paths of the archives are below, `tell` is called with what has come.
-    Returns the mesh file. Raises
-    `UnknownName` if there is no such scan, `WrongScan` if it is not what it must be, and `AssetError` if it
-    cannot be fetched or written.
+    `home` is the address that the paths of the archives are below, `tell` is called with a sentence. Returns
+    the mesh file. Raises `UnknownName` if there is no such scan, `WrongScan` if it is another mesh, and
+    `AssetError` if it cannot be fetched or written.
     """
     if name not in SCANS:
         raise UnknownName("scan", name, SCANS, "Other objects are built in or mesh files of your own.")
     scan = SCANS[name]
     archive = data_folder() / "downloads" / Path(scan.archive).name
     try:
-        download(f"{home.rstrip('/')}/{scan.archive}", archive, _DownloadProgress(name, tell))
+        tell(f"fetching {name}")
+        download(f"{home.rstrip('/')}/{scan.archive}", archive)
         try:
             return _accept(name, scan, archive)
         except AssetError as error:
@@ -274,10 +246,11 @@ def _accept(name: str, scan: Scan, archive: Path) -> Path:
         file = Path(folder) / Path(scan.member).name
         file.write_bytes(content)
         read = correct_mesh(read_mesh_file(file).mesh, scan)
-    if wrong := scan_differences(read, scan) or surface_faults(read):
-        raise AssetError(f"it is not that scan: {'; '.join(wrong)}.")
+    if not is_scan(read, scan) or surface_faults(read):
+        size = f"{lengths_in_words(read.extents)} m large, of {read.volume * 1e6:.2f} cm3"
+        raise AssetError(f"it is not that scan, but {size} and {len(read.faces)} triangles.")
     mesh = fetched_mesh(name)
     attribution = f"{scan.archive}: {scan.member}\n{YCB_TERMS}\n"
-    write_whole(mesh.with_name("ATTRIBUTION.txt"), attribution.encode(), is_synced=True)
-    write_whole(mesh, content, is_synced=True)
+    write_whole(mesh.with_name("ATTRIBUTION.txt"), attribution.encode())
+    write_whole(mesh, content)
     return mesh

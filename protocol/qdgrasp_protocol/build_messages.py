@@ -24,18 +24,20 @@ class MeshPreparation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Its convex hull in place of the mesh."""
     glued: bool = False
     """Bodies that are apart are meant to be one rigid object."""
-
-    @property
-    def changes_mesh(self) -> bool:
-        """True if the object has another mesh than that in the file."""
-        return bool(self.simplify or self.remesh or self.hull)
+    geometry: Annotated[str, Meta(max_length=200)] = ""
+    """Only the geometry of this name in the file."""
+    largest: bool = False
+    """Only the body with the largest convex hull."""
+    fill: bool = False
+    """Small holes and flat rims are filled."""
 
     @property
     def words(self) -> tuple[str, ...]:
         """The changes, for the provenance."""
-        said = {"remeshed": self.remesh, "convex hull": self.hull, "glued": self.glued}
-        fewer = (f"simplified to {self.simplify} triangles",) if self.simplify else ()
-        return (*(word for word, is_asked in said.items() if is_asked), *fewer)
+        named, fewer = f"geometry {self.geometry}", f"simplified to {self.simplify} triangles"
+        said = {named: self.geometry, "largest body": self.largest, "holes filled": self.fill}
+        said |= {"remeshed": self.remesh, "convex hull": self.hull, "glued": self.glued, fewer: self.simplify}
+        return tuple(word for word, is_asked in said.items() if is_asked)
 
     def __str__(self) -> str:
         return "_".join(self.words).replace(" ", "_")

@@ -3,13 +3,7 @@ import sys
 
 import pytest
 
-from qdgrasp_assets.catalog import (
-    build_scene,
-    every_gripper,
-    every_object,
-    gripper_names,
-    object_names,
-)
+from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_protocol.errors import AssetError, UnknownName
@@ -67,15 +61,6 @@ def test_an_unknown_name_is_answered_with_the_known_ones():
     assert "TOML file" in str(gripper.value)
     assert "mesh file" in str(thing.value)
     assert all(name in str(thing.value) for name in STAND_INS)
-
-
-def test_the_catalog_lists_what_is_there(monkeypatch, tmp_path):
-    monkeypatch.setenv("QDGRASP_ASSET_PATH", str(tmp_path))
-    assert "panda" in gripper_names()
-    assert not any(name.startswith("ref_") for name in gripper_names())
-    assert object_names() == tuple(STAND_INS)
-    here = [entry for entry in (*every_gripper(), *every_object()) if entry.is_there]
-    assert all(entry.source == "built in" and entry.licence for entry in here)
 
 
 def test_the_worker_needs_no_geometry_library():

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from qdgrasp_assets.object_model import file_facts, read_draft, read_solid, solid_draft
+from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.spec import RunSpec
 
@@ -57,9 +58,14 @@ def test_several_geometries_of_a_scene_are_one_object_where_they_stand(tmp_path)
     scene = trimesh.Scene()
     for x in (0.0, 0.1):
         scene.add_geometry(block(), transform=trimesh.transformations.translation_matrix((x, 0, 0)))
-    draft = read_draft(write(tmp_path / "pair.glb", scene))
-    assert draft.geometries == 2
+    path = write(tmp_path / "pair.glb", scene)
+    draft = read_draft(path)
+    assert len(draft.geometries) == 2
     assert draft.mesh.extents == pytest.approx((0.12, 0.03, 0.05))
+    for name in draft.geometries:
+        assert read_draft(path, None, MeshPreparation(geometry=name)).mesh.extents == pytest.approx(BLOCK)
+    with pytest.raises(AssetError, match=f"no geometry 'lid', but {', '.join(draft.geometries)}"):
+        read_draft(path, None, MeshPreparation(geometry="lid"))
 
 
 def open_block() -> trimesh.Trimesh:
@@ -96,7 +102,7 @@ def klein_bottle() -> trimesh.Trimesh:
         (
             open_block(),
             r"is not closed \(watertight\): 3 edges have only one triangle, around 1 hole 0\.0500 m wide at "
-            r"\(-0\.0100, 0\.0000, 0\.0000\); close it .* --fill-holes",
+            r"\(-0\.0100, 0\.0000, 0\.0000\); close it .* --mesh fill",
         ),
         (sheet(), "is flat: it encloses no volume; give it a thickness"),
         (klein_bottle(), "wound both ways along .* cannot all face outward"),

@@ -89,18 +89,13 @@ def holed() -> trimesh.Trimesh:
     return mesh
 
 
-@pytest.mark.parametrize(
-    ("mesh", "words"),
-    [
-        (bar().apply_scale((1.01, 1, 1)), "m large instead of 0.0600 x 0.0400 x 0.0200 m"),
-        (bar().subdivide(), "192 triangles instead of 48"),
-        (trimesh.creation.icosphere(subdivisions=1, radius=0.03), "it encloses"),
-        (holed(), "47 triangles instead of 48"),
-    ],
-)
-def test_a_wrong_geometry_is_refused(site, mesh, words):
+OTHERS = (bar().apply_scale((1.01, 1, 1)), bar().subdivide(), trimesh.creation.icosphere(1, 0.03), holed())
+
+
+@pytest.mark.parametrize("mesh", OTHERS)
+def test_a_wrong_geometry_is_refused(site, mesh):
     site.content = tgz(ply(mesh))
-    assert_refused(site, f"thrown away: it is not that scan: .*{words}")
+    assert_refused(site, f"thrown away: it is not that scan, but .* {len(mesh.faces)} triangles")
 
 
 def test_names_in_an_archive_are_never_paths(site, tmp_path):

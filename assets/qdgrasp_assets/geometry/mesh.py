@@ -21,6 +21,7 @@ OBJ_GROUP = re.compile(r"[ \t]*[og][ \t]")
 """Start of another group, as for Bullet's reader: a blank must follow the letter."""
 
 
+FAR_FROM_ORIGIN = 1.0  # Distance from its origin beyond which a mesh is moved for volumes and rays [m]
 STL_HEADER, STL_TRIANGLE = 84, 50  # bytes
 STL_CORNERS = slice(12, 48)  # Bytes of a triangle's corners, after its normal
 
@@ -84,9 +85,15 @@ class Mesh:
         return high - low
 
     @property
+    def reference_point(self) -> Floats:
+        """(3,) [m]: a point near the mesh, from which volumes and rays are exact; mostly the origin."""
+        near: Floats = self.corners[:, 0].sum(axis=0) / max(1, len(self.faces))
+        return near if np.abs(near).max() > FAR_FROM_ORIGIN else np.zeros(3)
+
+    @property
     def cone_volumes(self) -> Floats:
-        """(f,) [m3]: signed volumes of the tetrahedra between the triangles and the origin."""
-        a, b, c = np.moveaxis(self.corners, 1, 0)
+        """(f,) [m3]: signed volumes of the tetrahedra between the triangles and the reference point."""
+        a, b, c = np.moveaxis(self.corners - self.reference_point, 1, 0)
         volumes: Floats = np.einsum("ij,ij->i", np.cross(a, b), c) / 6
         return volumes
 
@@ -98,8 +105,8 @@ class Mesh:
     @property
     def centre_of_mass(self) -> Floats:
         """(3,) [m]: centre of mass of the enclosed volume, at uniform density."""
-        moments = self.cone_volumes[:, None] * self.corners.sum(axis=1) / 4
-        centre: Floats = moments.sum(axis=0) / self.volume
+        moments = self.cone_volumes[:, None] * (self.corners - self.reference_point).sum(axis=1) / 4
+        centre: Floats = moments.sum(axis=0) / self.volume + self.reference_point
         return centre
 
     @property
@@ -152,12 +159,8 @@ def join(meshes: Iterable[Mesh]) -> Mesh:
 
 def read_parts(path: Path) -> tuple[Mesh, ...]:
     """Read the convex parts in an OBJ file, one for each group; else `AssetError`."""
-    try:
+    with unreadable_as("No convex parts can be read at '{}': {}.", path):
         return parse_parts(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise AssetError(f"No convex parts can be read at '{path}': {error.strerror or error}.") from None
-    except ValueError as error:
-        raise AssetError(f"'{path}' is not an OBJ file of convex parts: {error}.") from None
 
 
 def parse_parts(text: str) -> tuple[Mesh, ...]:

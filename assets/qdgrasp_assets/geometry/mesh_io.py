@@ -3,16 +3,18 @@
 A file is read as one mesh in its own unit; the scale multiplies its coordinates to metres.
 """
 
+import io
 import json
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from qdgrasp_assets.asset_paths import A_FOLDER, path_problem
-from qdgrasp_assets.geometry.mesh import Mesh
+from qdgrasp_assets.geometry.mesh import Mesh, unreadable_as
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName, UnreadableHere
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}  # Metres to a unit
@@ -79,16 +81,11 @@ READABLE_FORMATS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
 FORMAT_PACKAGES = {
     ".3mf": "lxml and networkx",
     ".dae": "pycollada",
-    ".zae": "pycollada",
-    ".xaml": "lxml",
-    ".3dxml": "lxml and networkx",
     ".step": "cascadio",
     ".stp": "cascadio",
-    ".ctm": "openctm",
 }
 """Packages that trimesh needs for a format, which users install themselves."""
 WRITABLE_FORMATS = (".stl", ".obj", ".ply", ".off", ".glb")  # Formats that are written
-LARGEST_FILE = 1 << 30  # Largest file [bytes]; 500 000 triangles, the most allowed, have 140 MB as text STL
 
 
 @dataclass(frozen=True)
@@ -97,15 +94,24 @@ class FileMesh:
 
     mesh: Mesh
     """In the file's unit; each geometry's coincident vertices merged, all geometries joined."""
-    geometries: int
+    geometries: tuple[str, ...]
+    """Their names."""
     unit: float | None
     """Metres to a unit, if the file states it."""
 
 
-def read_mesh_file(path: Path) -> FileMesh:
-    """Read a mesh file; `AssetError` if it is not there, no mesh of a known format, or empty."""
+def read_mesh_file(path: Path, geometry: str = "") -> FileMesh:
+    """Read a mesh file, or one geometry of it.
+
+    Raises `AssetError` if it is not there, no mesh of a known format, or empty, or has no such geometry.
+    """
     check_file(path)
     scene = _load_scene(path)
+    names = tuple(scene.graph[node][1] for node in scene.graph.nodes_geometry)
+    if geometry:
+        if geometry not in names:
+            raise AssetError(f"The mesh '{path}' has no geometry '{geometry}', but {', '.join(names)}.")
+        scene.delete_geometry({*names} - {geometry})
     geometries = [found for found in scene.geometry.values() if hasattr(found, "faces")]
     if not all(np.isfinite(found.vertices).all() for found in geometries):
         raise AssetError(
@@ -126,7 +132,7 @@ def read_mesh_file(path: Path) -> FileMesh:
     unit = None  # GLB has no other than metres
     with suppress(KeyError, ValueError):
         unit = float(unit_conversion(scene.units, "meters")) if scene.units else None
-    return FileMesh(mesh, len(scene.graph.nodes_geometry), unit)
+    return FileMesh(mesh, (geometry,) if geometry else names, unit)
 
 
 def _load_scene(path: Path) -> Any:
@@ -145,23 +151,65 @@ def _load_scene(path: Path) -> Any:
             f"{', '.join(READABLE_FORMATS)} ({', '.join(FORMAT_PACKAGES)} with packages of their own); "
             "export it as one of these."
         )
-    try:
-        return trimesh.load_scene(path, process=False)
-    except ImportError:  # a package that guesses what damaged text was meant to be
-        raise AssetError(
-            f"The mesh '{path}' is damaged: it is no whole {kind} file; export it again, for example as STL."
-        ) from None
-    except Exception as error:  # noqa: BLE001  # trimesh's readers raise whatever they stumble over
-        raise AssetError(
-            f"The mesh '{path}' cannot be read as {kind}: {type(error).__name__}: {error}; export it again, "
-            "for example as STL."
-        ) from None
+    advice = "export it again, for example as STL"
+    with unreadable_as(f"The mesh '{{}}' cannot be read as {kind}: {{}}; {advice}.", path):
+        if kind == ".ply":  # whose comments may be text of any encoding
+            header, end, data = path.read_bytes().partition(b"end_header")
+            header = header.decode("latin-1").encode("ascii", "replace")
+            return trimesh.load_scene(io.BytesIO(header + end + data), file_type="ply", process=False)
+        if kind not in (".glb", ".gltf"):
+            return trimesh.load_scene(path, process=False)
+        document = _gltf_document(path)
+        _check_extensions(path, document)
+        scene = trimesh.load_scene(path, process=False)
+        _apply_normalisation(scene, document)
+        return scene
+
+
+DRACO = "KHR_draco_mesh_compression"
+HARMLESS = ("KHR_mesh_quantization", "KHR_materials", "KHR_texture", "EXT_texture", "KHR_lights")
+"""Beginnings of the names of glTF extensions that are applied, or change no geometry."""
+NORMALISED = {5120: 127, 5121: 255, 5122: 32767, 5123: 65535}
+"""The integer that stands for 1, by glTF's number of its type."""
+DRAWN_MODES = (0, 1, 4, 5)  # Modes of glTF primitives that trimesh makes a geometry of
+
+
+def _gltf_document(path: Path) -> dict[str, Any]:
+    """Return the JSON document of a glTF or GLB file."""
+    content = path.read_bytes()
+    if content[:4] == b"glTF":
+        content = content[20 : 20 + int.from_bytes(content[12:16], "little")]
+    document: dict[str, Any] = json.loads(content)
+    return document
+
+
+def _check_extensions(path: Path, document: dict[str, Any]) -> None:
+    """Raise UnreadableHere for a glTF file that needs an extension which is not applied."""
+    for name in document.get("extensionsRequired", ()):
+        if not name.startswith(HARMLESS) and not (name == DRACO and find_spec("DracoPy")):
+            package = "`pip install DracoPy`, or " if name == DRACO else ""
+            raise UnreadableHere(
+                f"The mesh '{path}' needs the glTF extension {name}, which is not read here: {package}export "
+                "it without compression and extensions, or as STL."
+            )
+
+
+def _apply_normalisation(scene: Any, document: dict[str, Any]) -> None:
+    """Divide positions in normalised integers by what stands for 1; trimesh does not."""
+    primitives = [each for mesh in document.get("meshes", ()) for each in mesh["primitives"]]
+    drawn = [each for each in primitives if each.get("mode", 4) in DRAWN_MODES]
+    accessors = [document["accessors"][each["attributes"]["POSITION"]] for each in drawn]
+    if any(accessor.get("normalized") for accessor in accessors):
+        for found, accessor in zip(scene.geometry.values(), accessors, strict=True):
+            if accessor.get("normalized"):
+                found.vertices = np.maximum(found.vertices / NORMALISED[accessor["componentType"]], -1.0)
 
 
 def check_file(path: Path) -> None:
     """Check that there is a mesh file with something in it.
 
-    Raises `AssetError` if it is a folder, a pipe or a device, is not there, or has no bytes or too many.
+    Raises `AssetError` if it is a folder, a pipe or a device, is not there, has no bytes, or is what a server
+    or Git put in the place of a mesh.
     """
     if why := path_problem(path):
         if why == A_FOLDER:
@@ -173,13 +221,18 @@ def check_file(path: Path) -> None:
             f"No mesh file at '{path}': it {why}; name a file such as those that end with "
             f"{', '.join(READABLE_FORMATS)}."
         )
-    size = path.stat().st_size
-    if not size:
+    with path.open("rb") as file:
+        content = file.read(512)
+    if not content:
         raise AssetError(f"The mesh '{path}' is empty: the file has no bytes.")
-    if size > LARGEST_FILE:
+    beginning = content.lstrip(b"\xef\xbb\xbf \t\r\n").lower()
+    if beginning.startswith(b"version https://git-lfs"):
         raise AssetError(
-            f"The mesh '{path}' has {size} bytes, and at most {LARGEST_FILE >> 30} GiB are read: "
-            "simplify it; 20 000 triangles show a finger as much."
+            f"'{path}' is a pointer of Git LFS, not the mesh: `git lfs pull` in its repository fetches it."
+        )
+    if beginning.startswith((b"<!doctype html", b"<html")):
+        raise AssetError(
+            f"'{path}' is a web page, not the mesh: download the file itself (often called raw)."
         )
 
 
@@ -188,7 +241,7 @@ def linked_names(path: Path) -> tuple[str, ...]:
     if path.suffix.lower() != ".gltf":
         return ()
     with suppress(OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        names = [str(buffer.get("uri", "data:")) for buffer in json.loads(path.read_bytes())["buffers"]]
+        names = [str(buffer.get("uri", "data:")) for buffer in _gltf_document(path)["buffers"]]
         return tuple(name for name in names if not name.startswith("data:"))
     return ()
 

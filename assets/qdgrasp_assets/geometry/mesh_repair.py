@@ -4,7 +4,7 @@ Checks say all that is wrong in words; each repair changes what it must, and say
 closed surface already is left as it is, to the last bit: whatever was found with it is found again.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -140,8 +140,7 @@ def _surface_faults(mesh: Mesh, edges: MeshEdges) -> Iterator[str]:
             f"it is not closed (watertight): {len(edges.open_edges)} edges have only one triangle, around "
             f"{'1 hole' if count == 1 else f'{count} holes, the largest'} {edges_width(mesh, widest):.4f} m "
             f"wide at {point_in_words(edges_middle(mesh, widest))}; close it in the program that drew it, or "
-            "have small holes filled with `qdgrasp object check FILE --fill-holes --repaired NEW`, or "
-            "take --mesh remesh or hull"
+            "take --mesh fill (small holes and flat rims), remesh or hull"
         )
     elif len(odd):
         where = point_in_words(edges_middle(mesh, edges.directed[edges.edge_numbers == odd[0]]))
@@ -160,12 +159,20 @@ def _surface_faults(mesh: Mesh, edges: MeshEdges) -> Iterator[str]:
 
 TOUCHING = 1e-5  # Vertices nearer to each other than this share of the largest side are one
 SMALL_HOLE = 0.2  # Largest hole that is filled on request, as a share of the largest side
+FLAT = 0.02  # Largest height of a flat rim, as a share of its width
+DOUBLED = 1e-3  # Least relative change of volume by which a closed surface is found to be there twice
 
 
-def repair_mesh(mesh: Mesh, *, fill_holes: bool = False) -> tuple[Mesh, tuple[str, ...]]:
-    """Repair a mesh to a closed surface wound outward, if possible; returns the changes too."""
-    done = []
-    for step in (merge_vertices, drop_degenerate, wind_alike, *((fill_small_holes,) if fill_holes else ())):
+def repair_mesh(
+    mesh: Mesh, fill: Callable[[Mesh], tuple[Mesh, str]] | None = None
+) -> tuple[Mesh, tuple[str, ...]]:
+    """Repair a mesh to a closed surface wound outward, if possible; returns the changes too.
+
+    `fill` closes holes where that is asked for.
+    """
+    mesh, words = drop_doubled(mesh)
+    done = [words]
+    for step in (merge_vertices, drop_degenerate, wind_alike, *((fill,) if fill else ())):
         if is_surface(mesh):
             break
         mesh, words = step(mesh)
@@ -193,8 +200,21 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, str]:
     return Mesh(mesh.vertices[first], merged.reshape(-1)[mesh.faces]), f"{fewer} vertices merged with others"
 
 
-def drop_degenerate(mesh: Mesh) -> tuple[Mesh, str]:
-    """Remove degenerate and duplicate triangles, and both of two that lie back to back."""
+def drop_doubled(mesh: Mesh) -> tuple[Mesh, str]:
+    """Remove the second of closed surfaces at the same place, wound alike or the other way."""
+    if not is_surface(mesh):
+        return mesh, ""
+    whole = merge_vertices(mesh)[0]
+    for keeps_one in (False, True):
+        single, words = drop_degenerate(whole, keeps_one=keeps_one)
+        change = abs(single.volume) - abs(mesh.volume)
+        if MeshEdges(single).is_closed and abs(change) > DOUBLED * max(abs(mesh.volume), abs(single.volume)):
+            return wind_alike(single)[0], f"a closed surface was there twice: {words}"
+    return mesh, ""
+
+
+def drop_degenerate(mesh: Mesh, *, keeps_one: bool = False) -> tuple[Mesh, str]:
+    """Remove degenerate and duplicate triangles, and both of two back to back, or one of them."""
     corners = np.sort(mesh.faces, axis=1)
     whole = np.flatnonzero((np.diff(corners, axis=1) > 0).all(axis=1))
     _, first, groups = np.unique(corners[whole], axis=0, return_index=True, return_inverse=True)
@@ -203,7 +223,7 @@ def drop_degenerate(mesh: Mesh) -> tuple[Mesh, str]:
     rolled = np.take_along_axis(faces, (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     rising = rolled[:, 1] < rolled[:, 2]
     up, down = (np.bincount(groups, weights=way, minlength=len(first)) for way in (rising, ~rising))
-    kept = np.sort(whole[first[up != down]])
+    kept = np.sort(whole[first[(up != down) | keeps_one]])
     dropped = len(mesh.faces) - len(kept)
     if not dropped:
         return mesh, ""
@@ -252,10 +272,14 @@ def inverted_bodies(mesh: Mesh) -> NDArray[np.bool_]:
     return wrong & (_holders(mesh, bodies(mesh)) == np.arange(len(wrong))) if len(wrong) > 1 else wrong
 
 
-def fill_small_holes(mesh: Mesh) -> tuple[Mesh, str]:
-    """Close small holes with a fan of triangles around the middle of their rim."""
+def fill_small_holes(mesh: Mesh, *, flat: bool = False) -> tuple[Mesh, str]:
+    """Close small holes, and `flat` ones too, with fans around the middle of their rims."""
     widest = SMALL_HOLE * mesh.extents.max()
-    rims = [hole for hole in MeshEdges(mesh).holes if edges_width(mesh, hole) <= widest and _is_ring(hole)]
+    rims = [
+        hole
+        for hole in MeshEdges(mesh).holes
+        if _is_ring(hole) and (edges_width(mesh, hole) <= widest or (flat and _is_flat(mesh, hole)))
+    ]
     if not rims:
         return mesh, ""
     vertices, faces = [mesh.vertices], [mesh.faces]
@@ -271,6 +295,27 @@ def fill_small_holes(mesh: Mesh) -> tuple[Mesh, str]:
 def _is_ring(hole: Numbers) -> bool:
     """Return whether the rim of a hole (k, 2) visits each of its vertices once."""
     return np.array_equal(np.unique(hole[:, 0]), np.sort(hole[:, 1]))
+
+
+def _is_flat(mesh: Mesh, rim: Numbers) -> bool:
+    """Return whether a rim (k, 2) is flat, and all of it is seen from its middle."""
+    middle = mesh.vertices[rim[:, 0]].mean(axis=0)
+    ends = mesh.vertices[rim] - middle
+    normal = np.linalg.svd(ends[:, 0], full_matrices=False)[2][-1]
+    turns = np.cross(ends[:, 0], ends[:, 1]) @ normal
+    is_star = bool((turns > 0).all() or (turns < 0).all())
+    return is_star and float(np.ptp(ends[:, 0] @ normal)) <= FLAT * edges_width(mesh, rim)
+
+
+def largest_body(mesh: Mesh) -> tuple[Mesh, str]:
+    """Keep the body whose corners are spread most in space alone."""
+    mesh = merge_vertices(mesh)[0]
+    labels, corners = bodies(mesh), mesh.corners
+    found = np.split(np.argsort(labels, kind="stable"), np.cumsum(np.bincount(labels))[:-1])
+    kept = max(found, key=lambda faces: float(np.linalg.det(np.cov(corners[faces].reshape(-1, 3).T))))
+    used, faces = np.unique(mesh.faces[kept], return_inverse=True)
+    words = f"the largest of {len(found)} bodies kept" if len(found) > 1 else ""
+    return Mesh(mesh.vertices[used], faces.reshape(-1, 3)), words
 
 
 MEETING = 1e-3  # Bodies with no larger distance than this belong together [m]
@@ -327,16 +372,15 @@ KEPT_OFFSET = 0.25  # Distance at which it then stands, half the thickness that 
 SAMPLE_SPACING = 0.33  # Mean distance of the points that stand for what there is [cells]
 MOST_SAMPLES = 4_000_000
 MARGIN = 3  # Cells around the mesh
+MOST_GROWTH = 0.05  # Largest relative growth of the volume of a closed mesh by a new surface
 REMESHED_TRIANGLES = 20_000  # Triangles of a new surface unless other numbers are asked for
-CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-
-Mask = NDArray[np.bool_]
 
 
 def prepare_mesh(mesh: Mesh, preparation: MeshPreparation) -> tuple[Mesh, tuple[str, ...]]:
     """Return a mesh with the changes that are asked for, and these in words.
 
-    The mesh need not be closed unless it is only simplified. Raises `AssetError` if it has no hull.
+    The mesh need not be closed unless it is only simplified. Raises `AssetError` if it has no hull, or a new
+    surface would enclose another volume.
     """
     done = []
     if preparation.hull:
@@ -350,8 +394,13 @@ def prepare_mesh(mesh: Mesh, preparation: MeshPreparation) -> tuple[Mesh, tuple[
             ) from None
         done.append("its convex hull taken in its place")
     if preparation.remesh:
-        before = len(mesh.faces)
+        before, volume = len(mesh.faces), mesh.volume if is_surface(mesh) else np.inf
         mesh = remesh(mesh)
+        if mesh.volume > (1 + MOST_GROWTH) * volume:  # where bodies overlap, it was counted twice before
+            raise AssetError(
+                f"a new surface would enclose {mesh.volume / volume:.2f} times its volume, as walls or gaps "
+                "are of the size of its cells: leave --mesh remesh out, or take hull"
+            )
         done.append(f"remeshed in {CELLS} cells along its largest side, from {before} triangles")
     wanted = preparation.simplify or (REMESHED_TRIANGLES if preparation.remesh else None)
     if wanted is not None and len(mesh.faces) > wanted:
@@ -401,7 +450,7 @@ def _distance_field(tree: Any, shape: tuple[int, ...]) -> Floats:
     """Return the distance beyond `OFFSET` [cells] at the lattice's nodes; negative inside."""
     from scipy import ndimage
 
-    occupied: Mask = np.zeros(shape, dtype=bool)
+    occupied = np.zeros(shape, dtype=bool)
     occupied[tuple(np.round(tree.data).astype(int).T)] = True
     near = np.argwhere(ndimage.binary_dilation(occupied, np.ones((3, 3, 3), dtype=bool), iterations=2))
     field = np.full(shape, 2.0)
@@ -417,37 +466,21 @@ def surface_net(field: Floats) -> tuple[Floats, NDArray[np.int64]]:
     for each cell that the surface crosses, in the middle of its crossings; four of them around each edge that
     it crosses.
     """
-    shape = np.array(field.shape) - 1
-    inside = field < 0
-    values = np.stack(
-        [field[tuple(slice(c, c + n) for c, n in zip(corner, shape, strict=True))] for corner in CORNERS]
-    )
-    crossed = np.argwhere((values < 0).any(axis=0) & (values >= 0).any(axis=0))
-    numbers = np.full(shape, -1)
-    numbers[tuple(crossed.T)] = np.arange(len(crossed))
-    own = values[:, crossed[:, 0], crossed[:, 1], crossed[:, 2]].T
-    sums, counts = np.zeros((len(crossed), 3)), np.zeros(len(crossed))
-    for one in range(8):
-        for axis in (1, 2, 4):
-            if one & axis:
-                continue
-            other = one | axis
-            is_cut = (own[:, one] < 0) != (own[:, other] < 0)
-            share = np.divide(own[:, one], own[:, one] - own[:, other], out=np.zeros(len(own)), where=is_cut)
-            place = CORNERS[one] + share[:, None] * (CORNERS[other] - CORNERS[one])
-            sums[is_cut] += place[is_cut]
-            counts += is_cut
-    faces = []
+    points, cells, faces = [], [], []
     for axis in range(3):
-        across, along = (axis + 1) % 3, (axis + 2) % 3
-        here = np.moveaxis(inside, axis, 0)
+        step, across, along = np.roll(np.eye(3, dtype=int), -axis, axis=0)
+        here = np.moveaxis(field < 0, axis, 0)
         ends = np.argwhere(np.moveaxis(here[:-1] != here[1:], 0, axis))
-        steps = np.eye(3, dtype=int)
-        a, b, c, d = (
-            numbers[tuple((ends - i * steps[across] - j * steps[along]).T)]
-            for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))
-        )
-        goes_out = inside[tuple(ends.T)]
-        b, d = np.where(goes_out, b, d), np.where(goes_out, d, b)
+        low, high = field[tuple(ends.T)], field[tuple((ends + step).T)]
+        places = (ends, ends - across, ends - across - along, ends - along)
+        around = [np.ravel_multi_index(tuple(place.T), field.shape) for place in places]
+        a, b, c, d = around
+        b, d = np.where(low < 0, b, d), np.where(low < 0, d, b)
         faces += [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
-    return crossed + sums / counts[:, None], np.concatenate(faces)
+        points.append(np.tile(ends + (low / (low - high))[:, None] * step, (4, 1)))
+        cells += around
+    found, numbers = np.unique(np.concatenate(cells), return_inverse=True)
+    sums = [np.bincount(numbers, weights=column) for column in np.concatenate(points).T]
+    return np.stack(sums, axis=1) / np.bincount(numbers)[:, None], np.searchsorted(
+        found, np.concatenate(faces)
+    )

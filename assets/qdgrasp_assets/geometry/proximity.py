@@ -10,7 +10,6 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.surface_points import sample_surface
 
 RAY_RESTART = np.float32(1e-6)  # Offset behind a hit triangle at which the rest of a ray begins [m]
-FAR_FROM_ORIGIN = 1.0  # Distance from its origin beyond which a mesh is moved before rays are cast [m]
 MOST_HITS = 256  # Most triangles of a ray that are counted
 SKEW_DIRECTION = np.array([0.5403, 0.2919, 0.7891])
 """Direction of rays; oblique, so that it is hardly parallel to edges of a drawing."""
@@ -18,7 +17,7 @@ SKEW_DIRECTION = np.array([0.5403, 0.2919, 0.7891])
 
 def ray_distance(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.float32]:
     """Return the distances (n,) [m] from points (n, 3) to the mesh along unit directions (n, 3)."""
-    middle = _mesh_middle(mesh)
+    middle = mesh.reference_point
     distances: NDArray[np.float32] = ray_scene(mesh.corners - middle).run(
         (points - middle).astype(np.float32), directions.astype(np.float32), query="DISTANCE"
     )
@@ -31,7 +30,7 @@ def inside_count(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.i
     That is how much more often a ray from each, in unit directions (n, 3), leaves it than enters it; walls
     nearer to each other than a micrometre count as one.
     """
-    middle = _mesh_middle(mesh)
+    middle = mesh.reference_point
     scene, normals = ray_scene(mesh.corners - middle), mesh.crosses
     found, left = np.zeros(len(points), dtype=np.int64), np.arange(len(points))
     origins, ways = (points - middle).astype(np.float32), directions.astype(np.float32)
@@ -45,12 +44,6 @@ def inside_count(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.i
         leaving = np.einsum("ij,ij->i", normals[hit["primID"][met]], ways)
         found[left] += np.sign(leaving).astype(np.int64)
     return found
-
-
-def _mesh_middle(mesh: Mesh) -> Floats:
-    """Return the offset (3,) [m] of a mesh far from its origin, as rays have single precision."""
-    middle: Floats = np.mean(mesh.bounds, axis=0)
-    return middle if np.abs(middle).max() > FAR_FROM_ORIGIN else np.zeros(3)
 
 
 def ray_scene(corners: Floats) -> Any:

@@ -168,17 +168,13 @@ def check_object(
         Path | None,
         typer.Option(metavar="OUT", help="Write the mesh as it is used, in metres, to a new file."),
     ] = None,
-    fill_holes: Annotated[
-        bool, typer.Option("--fill-holes", help="Fill holes up to a fifth of the object's size.")
-    ] = False,
     no_parts: Annotated[bool, typer.Option("--no-parts", help="Do not look for convex parts.")] = False,
     as_json: options.Json = False,
 ) -> None:
     """Say what an object of your own is, what was repaired, and what is wrong with it.
 
     Seams, empty triangles and windings are repaired, in every run as here. --mesh changes meshes that cannot
-    be used as they are, and is a flag of a run too. Holes are filled only
-    where asked for; the file that --repaired writes is then your object. Exit code 2: it cannot be used.
+    be used as they are, and is a flag of a run too. Exit code 2: it cannot be used.
 
     Example: qdgrasp object check part.stl --units mm --mass 0.3 --picture pictures
     """
@@ -192,7 +188,7 @@ def check_object(
         writing.check()
     prepared = options.preparation(mesh)
     glued = prepared is not None and prepared.glued
-    draft = read_draft(path, metres, prepared, fill_holes=fill_holes)
+    draft = read_draft(path, metres, prepared)
     found = inspect_object(draft, file, scale=metres, mass=mass, glued=glued, parts=not no_parts)
     print_findings(found, as_json=as_json)
     for line in _made(found, draft, path, picture, writing):

@@ -25,7 +25,8 @@ FLAG_NAMES = {"scale": "units"}
 """Flags that are not called as the keys of a spec that they give."""
 UNITS_HELP = "Unit of the mesh file: mm, cm, m or in, or how many metres it is; default m."
 MESH_HELP = (
-    "Changes of the mesh file: remesh (a new closed surface around it) or hull (its convex hull), glued (its "
+    "Changes of the mesh file: geometry=NAME (one of a scene), largest (its largest body alone), fill (small "
+    "holes and flat rims), remesh (a new closed surface around it) or hull (its convex hull), glued (its "
     "bodies are one rigid object), simplify=N (at most N triangles); several separated by commas."
 )
 Units = Annotated[str | None, typer.Option(metavar="UNIT", help=UNITS_HELP, rich_help_panel=SPEC)]

@@ -1,5 +1,7 @@
 """Repairs: each changes the mesh as needed, and reports it."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,8 +9,10 @@ import trimesh
 from qdgrasp_assets.geometry.mesh import Mesh, box, geodesic, join
 from qdgrasp_assets.geometry.mesh_repair import (
     body_gap,
+    fill_small_holes,
     inverted_bodies,
     is_surface,
+    largest_body,
     repair_mesh,
     surface_faults,
 )
@@ -82,12 +86,49 @@ def test_small_holes_are_filled_only_where_that_is_asked_for():
     mesh, done = repair_mesh(holed)
     assert (len(mesh.faces), done) == (len(holed.faces), ())
     assert "around 2 holes, the largest" in surface_faults(mesh)[0]
-    mesh, done = repair_mesh(holed, fill_holes=True)
+    mesh, done = repair_mesh(holed, fill_small_holes)
     assert "2 holes filled, the widest, 0.00" in done[0]
     assert surface_faults(mesh) == ()
     assert mesh.volume == pytest.approx(whole.volume, rel=1e-3)
 
 
+def test_a_flat_rim_of_any_size_is_closed_where_that_is_asked_for():
+    can = trimesh.creation.cylinder(0.03, 0.08, sections=40)
+    opened = Mesh(can.vertices, can.faces[can.face_normals[:, 2] > -0.9])
+    assert not is_surface(repair_mesh(opened, fill_small_holes)[0])
+    mesh, done = repair_mesh(opened, partial(fill_small_holes, flat=True))
+    assert "1 holes filled" in done[0]
+    assert surface_faults(mesh) == ()
+    assert mesh.volume == pytest.approx(can.volume)
+
+
+AGAIN = {"alike": SOLID, "the other way": SOLID.flipped(), "a hair beside": SOLID.moved((1e-8, 0, 0))}
+
+
+@pytest.mark.parametrize("again", AGAIN.values(), ids=AGAIN)
+def test_a_closed_surface_that_is_there_twice_counts_once(again):
+    mesh, done = repair_mesh(join((SOLID, again, SOLID.moved((0.1, 0, 0)))))
+    assert "a closed surface was there twice" in done[0]
+    assert surface_faults(mesh) == ()
+    assert mesh.volume == pytest.approx(2 * np.prod(BLOCK))
+
+
+def test_bodies_that_meet_in_a_face_stay_two():
+    mirrored = Mesh(SOLID.vertices * (-1, 1, 1), SOLID.faces).flipped()
+    both = join((SOLID, mirrored.moved((BLOCK[0], 0, 0))))
+    assert repair_mesh(both) == (both, ())
+
+
+def test_the_largest_body_is_kept_without_crumbs_and_the_ground_beneath_it():
+    random, ball = np.random.default_rng(2), geodesic(0.04, 8)
+    ground = Mesh(np.array([(-1.0, -1, -0.1), (1, -1, -0.1), (1, 1, 0.1), (-1, 1, 0.1)]), SQUARE)
+    crumbs = [box(random.uniform(1e-3, 4e-3, 3)).moved(random.uniform(0.06, 0.2, 3)) for _ in range(12)]
+    mesh, words = largest_body(join((ground, *crumbs[:5], ball, *crumbs[5:])))
+    assert words == "the largest of 14 bodies kept"
+    assert np.array_equal(mesh.corners, ball.corners)
+
+
+SQUARE = np.array([(0, 1, 2), (0, 2, 3)])
 RING = trimesh.creation.annulus(0.015, 0.03, 0.02)
 TURN = trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0))
 
@@ -125,18 +166,14 @@ def air(*bodies: trimesh.Trimesh) -> float:
 
 
 GAPS = {
-    "a block alone": ([block(0.0)], 0.0),
     "two blocks that overlap": ([block(0.0), block(0.02)], 0.0),
     "one of three blocks apart": ([block(0.0), block(0.05), block(0.0705)], 0.03),
     "blocks in a row meet face to face": ([block(0.0), block(0.04), block(0.02)], 0.0),
     "a thin rod within a ring": ([rod(0.01), RING], 0.005),
-    "a rod as thick as the hole of a ring": ([rod(0.0145), RING], 0.0),
     "a rod thicker than the hole of a ring": ([rod(0.02), RING], 0.0),
     "links of a chain": ([link(0.0, np.eye(4)), link(0.03, TURN)], 0.02),
-    "links of a chain that is pulled": ([link(0.0, np.eye(4)), link(0.05, TURN)], 0.0),
     "a hollow is of the body that it is in": ([ball(0.05), hollow(0.04)], 0.0),
     "a ball in a hollow": ([ball(0.05), hollow(0.04), ball(0.02)], 0.02),
-    "a ball in a hollow that touches the wall": ([ball(0.05), hollow(0.04), ball(0.0395)], 0.0),
     "a ball in the material of another body": ([ball(0.05), ball(0.02)], 0.0),
     "a shell in a shell": ([ball(0.05), hollow(0.045), ball(0.035), hollow(0.03)], 0.01),
 }

@@ -5,7 +5,16 @@ import pytest
 import trimesh
 
 from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_assets.geometry.mesh_repair import is_surface, remesh, simplify_mesh, surface_faults, surface_net
+from qdgrasp_assets.geometry.mesh_repair import (
+    is_surface,
+    prepare_mesh,
+    remesh,
+    simplify_mesh,
+    surface_faults,
+    surface_net,
+)
+from qdgrasp_protocol.build_messages import MeshPreparation
+from qdgrasp_protocol.errors import AssetError
 
 
 def made(mesh: trimesh.Trimesh, left_out: slice = slice(0)) -> Mesh:
@@ -24,6 +33,19 @@ def test_a_new_surface_is_closed_outward_and_half_a_cell_larger_at_most(mesh):
     cell = given.extents.max() / 96
     assert given.extents == pytest.approx(found.extents, abs=cell)
     assert given.volume < found.volume < given.volume + given.areas.sum() * cell / 2
+
+
+PIPE = trimesh.creation.annulus(0.0285, 0.03, 0.06)
+CROSSED = trimesh.util.concatenate(
+    [trimesh.creation.box(sides) for sides in ((0.06, 0.03, 0.03), (0.03, 0.03, 0.06))]
+)
+
+
+def test_a_closed_mesh_keeps_its_volume_or_is_not_remeshed():
+    found, _ = prepare_mesh(made(CROSSED), MeshPreparation(remesh=True))
+    assert found.volume == pytest.approx(1.5 * 0.06 * 0.03**2, rel=0.05)
+    with pytest.raises(AssetError, match=r"would enclose 1\.\d+ times its volume"):
+        prepare_mesh(made(PIPE), MeshPreparation(remesh=True))
 
 
 def test_a_surface_net_of_any_signs_has_no_open_edge():

@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
-import trimesh
 
 from qdgrasp_assets.geometry.mesh import box
 from qdgrasp_assets.geometry.surface_points import (
-    nearest_triangle,
     paper_surface,
     released_surface,
     sample_surface,
@@ -45,17 +43,6 @@ def test_paper_has_2000_points_for_each_200_mm_of_diagonal_and_the_objects_own_b
     assert surface.finder_high == pytest.approx(mesh.bounds[1])
     assert (surface.points >= surface.finder_low - 1e-9).all()
     assert (surface.points <= surface.finder_high + 1e-9).all()
-
-
-def test_the_nearest_triangle_is_that_of_an_exact_search():
-    random = np.random.default_rng(0)
-    triangles = random.normal(size=(40, 3, 3))
-    points = random.normal(size=(60, 3)) * 1.5
-    found = nearest_triangle(points, triangles)
-    for point, index in zip(points, found, strict=True):
-        closest = trimesh.triangles.closest_point(triangles, np.tile(point, (40, 1)))
-        distances = np.linalg.norm(closest - point, axis=1)
-        assert distances[index] == pytest.approx(distances.min(), abs=1e-9)
 
 
 @pytest.mark.parametrize("scan", SCAN_NAMES)
