@@ -92,8 +92,7 @@ SIGNAL_GRACE = 1.5  # seconds that a command outside of a `lifetime` may take to
 def run_command(app: typer.Typer, name: str) -> None:
     """Run a command line; an error ends it with a sentence on stderr and an exit code.
 
-    So do a file that vanishes meanwhile and a full disk; a process that has a supervisor is started again
-    instead.
+    So do a lost file and a full disk; a process that has a supervisor is started again instead.
     """
     is_supervised = SUPERVISED in os.environ  # until its `lifetime` begins
     try:
