@@ -173,7 +173,7 @@ def test_what_is_left_out_is_reported_in_the_folder_and_counted(library, tmp_pat
         broken, lost = csv.DictReader(file)
     assert (broken["object"], broken["file"]) == ("b/broken", str(library / "b" / "broken.stl"))
     assert broken["reason"].startswith("it is not closed")
-    assert "--mesh remesh or hull" in broken["reason"]
+    assert "remesh or hull" in broken["reason"]
     assert lost["object"] == "lost"
     assert "lost.stl': it does not exist" in lost["reason"]
     found = campaign_summary(JobFolder(folder))
