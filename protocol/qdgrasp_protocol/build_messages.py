@@ -27,7 +27,7 @@ class MeshPreparation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     geometry: Annotated[str, Meta(max_length=200)] = ""
     """Only the geometry of this name in the file."""
     largest: bool = False
-    """Only the body with the largest convex hull."""
+    """Only the largest body."""
     fill: bool = False
     """Small holes and flat rims are filled."""
 

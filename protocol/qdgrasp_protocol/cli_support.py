@@ -129,10 +129,7 @@ def _disk_fault(error: OSError) -> str:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left to print is lost, without a traceback
         return "The disk that it writes to, or its output is sent to, is full: make room, and try again."
     if error.errno == errno.ENOENT and error.filename is not None:
-        return (
-            f"{os.fsdecode(error.filename)} is not there: it, or its folder, was deleted or moved while the "
-            "command was at work; put it back, and give the command again."
-        )
+        return f"{os.fsdecode(error.filename)} was deleted or moved meanwhile: put it back, and try again."
     return ""
 
 

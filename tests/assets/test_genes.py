@@ -6,7 +6,6 @@ from tests.common import with_gripper
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import (
     PRIOR_GENES,
-    archive_box,
     layout,
     spherical_radius,
 )
@@ -53,12 +52,6 @@ def test_the_search_radius_is_that_of_the_released_code_but_for_the_margins_of_b
     for gripper, expected in released.items():
         radius = spherical_radius(build_scene(RunSpec(gripper=gripper, object="ycb_rubiks_cube")))
         assert expected - 0.018 < radius < expected, (gripper, radius)
-
-
-def test_spherical_positions_are_kept_within_the_ball_about_the_centre_of_mass(cube) -> None:
-    low, high = archive_box(cube, "spherical")
-    assert set(high) == set(-low) == {spherical_radius(cube)}
-    assert layout(cube, "spherical").genes[0].high == high[0]
 
 
 def test_a_hand_without_a_jaw_has_no_antipodal_genes(cube) -> None:

@@ -25,13 +25,6 @@ def contains(hull, points):
     return np.all(points @ hull.normals.T + hull.planes[:, 3] <= 0.0, axis=1)
 
 
-def test_a_cube_has_six_planes_and_contains_what_is_in_it():
-    [cube] = convex_hulls([CUBE])
-    assert len(cube.planes) == 6
-    points = np.random.default_rng(0).uniform(-0.03, 0.03, (500, 3))
-    np.testing.assert_array_equal(contains(cube, points), (np.abs(points) <= 0.02).all(axis=1))
-
-
 def test_a_moved_hull_contains_the_moved_points(hull):
     frame = np.eye(4)
     frame[:3, :3] = Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix()

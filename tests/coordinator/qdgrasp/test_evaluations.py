@@ -131,26 +131,20 @@ def test_an_encrypted_router_needs_the_certificates_of_a_coordinator(tmp_path: P
 def meet_and_say(said: Connection) -> None:
     """Use the bus, and say what came of it."""
     try:
-        bus, _ = qdgrasp.Place().meet()
+        qdgrasp.Place().meet()
     except InputError as error:
         said.send(str(error))
-    else:
-        bus.close()
-        said.send("met")
 
 
-@pytest.mark.parametrize(("kind", "sentence"), [("fork", "start processes by spawn"), ("spawn", "met")])
-def test_a_process_forked_after_the_bus_was_used_says_so_and_waits_for_nothing(
-    kind: str, sentence: str
-) -> None:
+def test_a_process_forked_after_the_bus_was_used_says_so_and_waits_for_nothing() -> None:
     qdgrasp.Place().meet()[0].close()
-    context = multiprocessing.get_context(kind)
+    context = multiprocessing.get_context("fork")
     heard, said = context.Pipe(duplex=False)
     child = context.Process(target=meet_and_say, args=(said,))
     child.start()
     try:
         assert heard.poll(PATIENCE)
-        assert sentence in heard.recv()
+        assert "start processes by spawn" in heard.recv()
     finally:
         child.kill()
         child.join()
