@@ -159,7 +159,8 @@ def _surface_faults(mesh: Mesh, edges: MeshEdges) -> Iterator[str]:
 
 TOUCHING = 1e-5  # Vertices nearer to each other than this share of the largest side are one
 SMALL_HOLE = 0.2  # Largest hole that is filled on request, as a share of the largest side
-FLAT = 0.02  # Largest height of a flat rim, as a share of its width
+FLAT = 0.05  # Largest height of a flat rim, as a share of its width: triangles of a scan end unevenly
+FOLDED = 0.05  # Largest share of the fan over a flat rim that may be folded
 DOUBLED = 1e-3  # Least relative change of volume by which a closed surface is found to be there twice
 
 
@@ -298,13 +299,13 @@ def _is_ring(hole: Numbers) -> bool:
 
 
 def _is_flat(mesh: Mesh, rim: Numbers) -> bool:
-    """Return whether a rim (k, 2) is flat, and all of it is seen from its middle."""
+    """Return whether a rim (k, 2) is flat, and nearly all of it is seen from its middle."""
     middle = mesh.vertices[rim[:, 0]].mean(axis=0)
     ends = mesh.vertices[rim] - middle
     normal = np.linalg.svd(ends[:, 0], full_matrices=False)[2][-1]
     turns = np.cross(ends[:, 0], ends[:, 1]) @ normal
-    is_star = bool((turns > 0).all() or (turns < 0).all())
-    return is_star and float(np.ptp(ends[:, 0] @ normal)) <= FLAT * edges_width(mesh, rim)
+    is_star = abs(turns.sum()) > (1 - 2 * FOLDED) * np.abs(turns).sum()
+    return bool(is_star) and float(np.ptp(ends[:, 0] @ normal)) <= FLAT * edges_width(mesh, rim)
 
 
 def largest_body(mesh: Mesh) -> tuple[Mesh, str]:

@@ -125,7 +125,8 @@ def preparation(text: str | None) -> MeshPreparation | None:
     if text is None:
         return None
     words = [word.strip().partition("=") for word in text.split(",")]
-    changes = {name: _parsed(value) if value else True for name, _, value in words}
+    said = {name: _parsed(value) if value else True for name, _, value in words}
+    changes = said | {name: value for name, _, value in words if name == "geometry"}
     return run_spec({"gripper": "", "object": "", "mesh": changes}, "--mesh").mesh
 
 
