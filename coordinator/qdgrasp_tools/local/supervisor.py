@@ -146,10 +146,10 @@ class JobProcesses:
         arguments = ["recorder", *self._connection_flags, "--out", str(out)]
         self._processes.start("recorder", "qdgrasp_tools.cli.job_processes", lambda: arguments)
 
-    def start_workers(self, count: int) -> None:
-        """Start so many workers, which leave before they would be killed."""
+    def start_workers(self, count: int, first: int = 0) -> None:
+        """Start workers up to so many from `first` on; they leave before they would be killed."""
         flags = [*self._connection_flags, "--grace", f"{self._processes.children_grace:g}"]
-        for number in range(count):
+        for number in range(first, count):
             self._processes.start(f"worker-{number}", "qdgrasp_worker.cli", lambda: flags)
 
     @property
@@ -230,7 +230,9 @@ class Supervisor:
             endpoint_file = str(self._folder.path.absolute() / ENDPOINT)
             job = JobProcesses(processes, self._display, self._folder.name, endpoint_file, flags)
             processes.start(COORDINATOR, "qdgrasp_tools.cli.job_processes", self._next_coordinator)
-            job.start_workers(self._config.workers)  # at once: they load while it does
+            # They load while it does: as many as it leaves cores for, so that the first row comes soon.
+            early = min(self._config.workers, max(1, len(os.sched_getaffinity(0)) - 1))
+            job.start_workers(early)
             job.start_recorder(self._folder.path)
             bus: ZenohBus | None = None
             while self._goes_on(job):
@@ -238,6 +240,7 @@ class Supervisor:
                     stack.enter_context(bus)
                     stack.enter_context(bus.subscribe(Keys(job.job).stat("job"), self._news.put))
                     stack.callback(processes.request_stop)  # while the session is being closed
+                    job.start_workers(self._config.workers, first=early)
                 with suppress(Empty):
                     self._take(self._news.get(timeout=LOOK_INTERVAL), job)
 
