@@ -250,11 +250,8 @@ def _joint(closing: ClosingMotion, name: str, free: set[str]) -> tuple[JointTabl
     follower = body.followers.get(name)
     effort, velocity, notes = joint_motor(body, name, abs(closed - opened))
     if follower is not None:
-        notes = (
-            f"mimics {follower.leader} ({follower.multiplier:g} times it, plus {follower.offset:g}) "
-            "by a motor of its own, as the simulator couples no joints",
-            *notes,
-        )
+        way = f"{follower.multiplier:g} times it, plus {follower.offset:g}"
+        notes = (f"mimics {follower.leader} ({way}), to which it is coupled", *notes)
     elif name in closing.stopped:
         notes = (closing.stopped[name], *notes)
     elif name in closing.fixed_joints:

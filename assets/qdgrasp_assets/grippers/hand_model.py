@@ -1,7 +1,6 @@
 """Geometric model of a hand: joints, placed convex parts, base link and fingers.
 
-The simulator does not know URDF's <mimic>. So each joint that follows another is driven by a motor of its
-own, to its leader's target, and they move together as long as nothing is in their way.
+Each joint that follows another by URDF's <mimic> is driven to its leader's target; engines couple the two.
 
 The base is the link with several moving limbs, and not an arm's. Fingers are the limbs that
 move, with the tip of each; limbs of one linkage are one finger. Opposite to a single limb that moves, those

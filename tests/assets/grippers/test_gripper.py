@@ -195,10 +195,3 @@ def test_paper_pushes_every_hand_with_the_pandas_acceleration(asset_path):
         force = next(joint.shake_force for joint in hand.carrier if joint.shake == "z")
         moved = robot.mass - 3.0  # the root does not move
         assert force / moved == pytest.approx(20.0 / 3.7, rel=1e-6)
-
-
-def test_a_name_that_the_carrier_needs_is_refused(claw, edit):
-    for file in ("claw.urdf", "claw.toml"):
-        edit(claw.parent / file, "bend", "rotationX")
-    with pytest.raises(AssetError, match="the joint 'rotationX' is named more than once"):
-        find_gripper(str(claw)).on_carrier("paper")

@@ -4,7 +4,7 @@ from dataclasses import replace
 from importlib import import_module
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.errors import AssetError, UnknownName
+from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.spec import DEFAULT_ENGINE, DEVICE_ENGINE, check_engine, engine_names
 from qdgrasp_worker.contact_margin import slim_scene
 from qdgrasp_worker.evaluation_protocols import COARSE, EvaluationProtocol
@@ -31,8 +31,6 @@ def make_world(scene: Scene, protocol: EvaluationProtocol, name: str = "") -> Sh
     """
     name = name or engine_names(scene.engine)[0]
     check_engine(name)
-    if name not in ENGINES:
-        raise UnknownName("engine", name, ENGINES)
     where, prefix, settings = ENGINES[name]
     module = import_module(where)
     scene = slim_scene(scene)

@@ -12,6 +12,7 @@ import numpy as np
 
 from qdgrasp_assets.geometry.rotation import facing
 from qdgrasp_assets.grippers.hand_geometry import neighbours
+from qdgrasp_assets.grippers.hand_model import followers
 from qdgrasp_assets.grippers.urdf import Urdf, scene_robot
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
@@ -28,6 +29,7 @@ from qdgrasp_worker.engines.bullet import (
     ObjectBody,
     load_table,
 )
+from qdgrasp_worker.engines.mujoco_model import couplings
 from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
 from qdgrasp_worker.physical_episode import FingerControl, PhysicalWorld, finger_drives, table_middle
 from qdgrasp_worker.world import (
@@ -47,6 +49,8 @@ from qdgrasp_worker.world import (
     free_postures,
     seen_from,
 )
+
+GEAR = {"erp": 5.0, "maxForce": 1e4}  # All of an error in a step, as Bullet takes a fifth; force [N, Nm]
 
 
 class BulletWorld(GraspWorld):
@@ -68,7 +72,17 @@ class BulletWorld(GraspWorld):
             undo.pop_all()
 
     def _prepare(self, gripper: SceneGripper) -> None:
-        """Prepare the data that closing needs, if any."""
+        """Couple the joints of a hand with followers; a jaw of two slides is centred by its targets."""
+        bullet, hand, robot = self._bullet, self._hand, scene_robot(gripper)
+        found = list(couplings(robot, gripper)) if followers(robot) else []
+        slides = {joint.name for joint in robot.joints if joint.kind == "prismatic"}
+        if [coupling.joint in slides for coupling in found] == [True]:
+            found = []
+        self._led = frozenset(coupling.joint for coupling in found)
+        for joint, leader, offset, ratio in found:  # it holds joint - ratio * leader at the offset
+            ends = hand.body, hand.moving[joint], hand.body, hand.moving[leader]
+            gear = bullet.createConstraint(*ends, bullet.JOINT_GEAR, [1.0, 0.0, 0.0], STILL, STILL)
+            bullet.changeConstraint(gear, gearRatio=-ratio, relativePositionTarget=offset, **GEAR)
 
     def close(self) -> None:
         """Leave Bullet and free the world; closing twice is allowed."""
@@ -81,6 +95,7 @@ class BulletWorld(GraspWorld):
         hand away empties Bullet's cache of contacts, which would otherwise be carried over.
         """
         hand, target, self.trial = self._hand, self._target, trial
+        self._posture = list(posture)
         self._bullet.setPhysicsEngineParameter(
             contactBreakingThreshold=self._breaking_threshold
         )  # process-wide
@@ -101,6 +116,7 @@ class BulletWorld(GraspWorld):
 
     def set_fingers(self, posture: Sequence[float]) -> None:
         """Put the finger joints at `posture` [rad or m], at rest."""
+        self._posture = list(posture)
         self._hand.set_joints(self._hand.fingers, posture)
 
     def step(self) -> None:
@@ -169,13 +185,13 @@ class BulletShakenWorld(BulletWorld, ShakenWorld):
     def drive(
         self, joint: str, target: float, force: float, velocity: float, gains: tuple[float, float] = HOLD
     ) -> None:
-        """Command a joint to a place, with these limits, from the next step on."""
+        """Command a joint to a place, with these limits; one that follows another has no motor."""
         self._bullet.setJointMotorControl2(
             self._hand.body,
             self._hand.moving[joint],
             self._bullet.POSITION_CONTROL,
             targetPosition=target,
-            force=force,
+            force=0.0 if joint in self._led else force,
             maxVelocity=velocity,
             positionGain=gains[0],
             velocityGain=gains[1],
@@ -190,13 +206,15 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
     def __init__(self, scene: Scene, physics: Physics, table: RestingPose | None = None) -> None:
         self.physics, self.table, self.step_seconds = physics, table, physics.time_step
         self._up = table.up if table else STILL
-        self._breaking_threshold = physics.breaking_threshold
         super().__init__(scene)
 
     def _prepare(self, gripper: SceneGripper) -> None:
+        super()._prepare(gripper)
         bullet, hand, target, physics = self._bullet, self._hand, self._target, self.physics
+        if not self._led:  # coupled fingers go through what they touch in points that do not last
+            self._breaking_threshold = physics.breaking_threshold
         bullet.setPhysicsEngineParameter(
-            contactBreakingThreshold=physics.breaking_threshold,  # a pair keeps its first threshold
+            contactBreakingThreshold=self._breaking_threshold,  # a pair keeps its first threshold
             fixedTimeStep=physics.time_step,
             numSolverIterations=physics.jaw_iterations if gripper.jaw else physics.iterations,
             contactERP=physics.recovery,
@@ -260,12 +278,6 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         super().reset(trial, posture)
         self.lower_table(0.0)
         self._axes = trial.pose.axes
-        self._posture = list(posture)
-
-    def set_fingers(self, posture: Sequence[float]) -> None:
-        """Put the finger joints at `posture` [rad or m], at rest."""
-        super().set_fingers(posture)
-        self._posture = list(posture)
 
     def close_fingers(self, synergy: int) -> None:
         """Fix the object and begin to close; a ValueError for a synergy that the hand does not have."""

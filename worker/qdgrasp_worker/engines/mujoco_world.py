@@ -172,10 +172,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         self.free.model.dof_frictionloss[: self._motors] = BRAKE
 
     def close_fingers(self, synergy: int) -> None:
-        """Command a synergy's fingers to close, other driven ones to stay open, the carrier to hold.
-
-        A ValueError for a synergy that the hand does not have.
-        """
+        """Begin to close as in any engine, with joints coupled that close together."""
         super().close_fingers(synergy)
         self.free.couple(self.closing_joints(synergy))
 

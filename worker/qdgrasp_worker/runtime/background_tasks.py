@@ -91,8 +91,6 @@ def result_or_error(act: Callable[[], T]) -> T | QdgraspError:
 
 
 BUILDER = [sys.executable, "-m", "qdgrasp_assets.shape_builder"]
-MOST_SECONDS = 6 * 3600.0
-"""A builder is ended after this time by the clock [s]: it has its own limits of CPU time."""
 UNUSABLE = 2
 """Exit code of a builder when no object can be made of the files."""
 
@@ -185,17 +183,13 @@ class BuilderClient:
         return BuildEnded(job, build, reason=reason, is_final=code == UNUSABLE, cpu_seconds=cpu_seconds)
 
     def _wait(self, build: Build, command: list[str]) -> tuple[int, bytes]:
-        """Exit code and errors of a builder, killed if its build is stopped or takes too long."""
+        """Exit code and errors of a builder, killed if its build is stopped."""
         quiet, pipe = subprocess.DEVNULL, subprocess.PIPE
         process = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=pipe, start_new_session=True)
         self._processes.add(process)
         if self.build is not build:
             process.kill()
-        try:
-            _, errors = process.communicate(timeout=MOST_SECONDS)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            _, errors = process.communicate()
+        _, errors = process.communicate()
         self._processes.discard(process)
         return process.returncode, errors
 
