@@ -17,12 +17,6 @@ def test_the_fingers_stand_where_their_joints_put_them() -> None:
     assert np.allclose(found["left_finger"][:, 2], [0.06, 0.11])
 
 
-def test_only_finger_links_are_fingers() -> None:
-    found = hand_geometry(made_scene().gripper)
-    fingers = {shape.link: found.is_finger(shape) for shape in found.shapes}
-    assert fingers == {"palm": False, "left_finger": True, "right_finger": True}
-
-
 def test_the_hand_goes_where_its_base_is() -> None:
     turned = Rotation.from_rotvec([0.3, -0.5, 1.1])
     pose = np.concatenate([[0.1, -0.2, 0.3], turned.as_quat()])

@@ -109,10 +109,7 @@ class MujocoWorld(GraspWorld):
         return [Contact(link, distance) for _, link, distance in self._now.hand_contacts()]
 
     def state(self) -> WorldState:
-        """The present places of all that can move, and the contacts.
-
-        The hand's root is at the origin.
-        """
+        """The present places of all that can move, and contacts; the root is at the origin."""
         now = self._now
         return WorldState((STILL, UPRIGHT), now.joint_positions(), self.object_pose(), now.touches())
 
