@@ -194,11 +194,20 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, str]:
     """Merge vertices at nearly the same place, which closes seams of textures and geometries."""
     size = mesh.extents.max() or 1.0
     places = np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (TOUCHING * size))
-    _, first, merged = np.unique(places.astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    first, merged = _unique_rows(places.astype(np.int64))
     fewer = len(mesh.vertices) - len(first)
     if not fewer:
         return mesh, ""
-    return Mesh(mesh.vertices[first], merged.reshape(-1)[mesh.faces]), f"{fewer} vertices merged with others"
+    return Mesh(mesh.vertices[first], merged[mesh.faces]), f"{fewer} vertices merged with others"
+
+
+def _unique_rows(rows: Numbers) -> tuple[Numbers, Numbers]:
+    """Return where each row (n, 3) stands first, rows in order, and the number (n,) of each."""
+    order = np.lexsort(rows.T[::-1])
+    is_new = np.diff(rows[order], axis=0, prepend=-1).any(axis=1)
+    numbers = np.empty(len(rows), dtype=np.int64)
+    numbers[order] = np.cumsum(is_new) - 1
+    return order[is_new], numbers
 
 
 def drop_doubled(mesh: Mesh) -> tuple[Mesh, str]:
@@ -208,8 +217,8 @@ def drop_doubled(mesh: Mesh) -> tuple[Mesh, str]:
     whole = merge_vertices(mesh)[0]
     for keeps_one in (False, True):
         single, words = drop_degenerate(whole, keeps_one=keeps_one)
-        change = abs(single.volume) - abs(mesh.volume)
-        if MeshEdges(single).is_closed and abs(change) > DOUBLED * max(abs(mesh.volume), abs(single.volume)):
+        before, after = abs(mesh.volume), abs(single.volume)
+        if words and abs(after - before) > DOUBLED * max(before, after) and MeshEdges(single).is_closed:
             return wind_alike(single)[0], f"a closed surface was there twice: {words}"
     return mesh, ""
 
@@ -218,8 +227,7 @@ def drop_degenerate(mesh: Mesh, *, keeps_one: bool = False) -> tuple[Mesh, str]:
     """Remove degenerate and duplicate triangles, and both of two back to back, or one of them."""
     corners = np.sort(mesh.faces, axis=1)
     whole = np.flatnonzero((np.diff(corners, axis=1) > 0).all(axis=1))
-    _, first, groups = np.unique(corners[whole], axis=0, return_index=True, return_inverse=True)
-    groups, faces = groups.reshape(-1), mesh.faces[whole]
+    (first, groups), faces = _unique_rows(corners[whole]), mesh.faces[whole]
     # corners rise after the lowest one, or fall: opposite for triangles back to back
     rolled = np.take_along_axis(faces, (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     rising = rolled[:, 1] < rolled[:, 2]
