@@ -222,6 +222,8 @@ class ProcessExit:
     """Exit code; negative: the signal that killed it."""
     words: str = ""
     """The error sentence that it ended with, by its log; empty: none."""
+    last_line: str = ""
+    """The last line of its log, after an exception what was raised."""
 
     @property
     def description(self) -> str:
@@ -270,16 +272,14 @@ class ChildProcess:
         self.restart_at = None
 
     @property
-    def last_words(self) -> str:
-        """The error sentence with which its process ended; empty where it ended without one."""
-        if self.log is None:
-            return ""
+    def last_lines(self) -> tuple[str, str]:
+        """The error sentence with which its process ended, and its last line; empty without one."""
         try:
-            said = self.log.read_bytes()[self.log_start :].decode(errors="replace")
+            said = Path(self.log or os.devnull).read_bytes()[self.log_start :].decode(errors="replace")
         except OSError:
-            return ""
-        lines = [line for line in said.splitlines() if line.startswith("qdgrasp-") and ": " in line]
-        return lines[-1].partition(": ")[2] if lines else ""
+            return "", ""
+        sentences = [line for line in said.splitlines() if line.startswith("qdgrasp-") and ": " in line]
+        return "".join(sentences[-1:]).partition(": ")[2], said.rstrip().rpartition("\n")[2]
 
 
 class ProcessSupervisor:
@@ -313,10 +313,9 @@ class ProcessSupervisor:
         """Return the processes that ended since the last call."""
         found = []
         for child in self._children.values():
-            code = child.process.poll()
-            if code is not None and child.restart_at is None:
+            if (code := child.process.poll()) is not None and child.restart_at is None:
                 child.restart_at = inf
-                found.append(ProcessExit(child.name, code, child.last_words))
+                found.append(ProcessExit(child.name, code, *child.last_lines))
         return found
 
     def restart_later(self, death: ProcessExit, now: float) -> float:

@@ -38,7 +38,7 @@ from qdgrasp_protocol.errors import (
     check_packages,
 )
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.process import ProcessExit, ProcessSupervisor, Stop
+from qdgrasp_protocol.process import OUTSIDE_CODES, ProcessExit, ProcessSupervisor, Stop
 from qdgrasp_protocol.rows import GIVEN, Rows
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
 from qdgrasp_protocol.spec import DEVICE_ENGINE, DEVICE_VARIABLE, RunSpec, check_engine
@@ -138,6 +138,7 @@ class JobProcesses:
         self._display = display
         self._security_flags = security_flags
         self._most = -1
+        self._reasons: dict[str, str] = {}  # Of the last errors of processes, since there was progress
         self.is_done = False
         """The coordinator ended with its job complete, or after the seconds that it was given."""
 
@@ -161,12 +162,14 @@ class JobProcesses:
         if figures.evaluations + figures.trials > self._most:
             self._most = figures.evaluations + figures.trials
             self._processes.note_progress()
+            self._reasons.clear()
 
     def check(self, now: float) -> None:
         """Take the deaths since the last call, and start the processes that are due.
 
         Raises InputError if a process ended with a sentence that names bad input or environment, and
-        EndedEarly if the coordinator ended by decision or order, or a process dies again and again.
+        EndedEarly if the coordinator ended by decision or order, or a process dies again and again; an
+        InputError too if one failed twice for the same reason, without progress.
         """
         for death in self._processes.exits():
             if death.name == COORDINATOR:
@@ -189,8 +192,14 @@ class JobProcesses:
             self._restart(death, now)
 
     def _restart(self, death: ProcessExit, now: float) -> None:
+        reason = death.words
+        if death.exit_code not in OUTSIDE_CODES and death.exit_code > 0:
+            reason = reason or death.last_line
+            if reason and reason == self._reasons.get(death.name):
+                raise InputError(f"The {death.name} {death.description} twice for the same reason: {reason}")
+            self._reasons[death.name] = reason
         pause = self._processes.restart_later(death, now)
-        why = f" ({death.words.rstrip('.')})" if death.words else ""
+        why = f" ({reason.rstrip('.')})" if reason else ""
         self._display.say(f"{death.name} {death.description}{why}; it is started again in {pause:.1f} s")
 
 

@@ -37,10 +37,10 @@ class Staff(ProcessSupervisor):
         for name in ("coordinator", "recorder", "worker-0", "worker-1"):
             self._children[name] = StartedChild(name, self)
 
-    def dies(self, name: str, code: int, words: str = "") -> None:
+    def dies(self, name: str, code: int, words: str = "", last_line: str = "") -> None:
         """A process dies, and those that are due are started again."""
         self._children[name].restart_at = inf
-        self._dead = [ProcessExit(name, code, words)]
+        self._dead = [ProcessExit(name, code, words, last_line)]
         self.watch.check(self.now)
 
     def waits(self, seconds: float) -> None:
@@ -109,6 +109,17 @@ def test_who_dies_again_and_again_ends_the_job_later_if_killed_by_others(staff, 
         staff.waits(20)
     with pytest.raises(EndedEarly, match=f"The {name} died {most + 1} times .* was killed by {number.name}"):
         staff.dies(name, -number)
+
+
+def test_who_fails_twice_for_the_same_reason_without_progress_ends_the_job_with_it(staff: Staff) -> None:
+    for line, evaluations in [("KeyError: 1", 1), ("KeyError: 2", 2), ("KeyError: 1", 2), ("KeyError: 2", 2)]:
+        staff.watch.note_progress(figures(evaluations=evaluations, rate=1.0))
+        staff.dies("recorder", 1, last_line=line)
+        staff.waits(60)
+    assert "(KeyError: 2)" in staff.said[-1]
+    staff.dies("recorder", -9)
+    with pytest.raises(InputError, match=r"recorder ended with exit code 1 twice .*: KeyError: 2$"):
+        staff.dies("recorder", 1, last_line="KeyError: 2")
 
 
 def test_who_dies_while_the_job_goes_on_is_always_started_again(staff: Staff) -> None:
