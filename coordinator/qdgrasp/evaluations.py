@@ -3,6 +3,7 @@
 import signal
 import tempfile
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
 from itertools import count
@@ -23,24 +24,24 @@ from qdgrasp_coordinator.scheduler.run_plan import (
     RunQueue,
     plan_genomes,
     prepare_scene,
-    row_shape,
 )
 from qdgrasp_coordinator.search.fixed_poses import HandPoses, check_given, scores
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
-from qdgrasp_protocol.text import counted
 from qdgrasp_tools.local.supervisor import LocalSession, check_engines
 
 
 class GenomeRequest(MemorySink):
-    """Genomes that were asked for together, and their rows."""
+    """Genomes that were asked for together, and their rows as in a journal, trials too."""
 
-    def __init__(self, plan: RunPlan) -> None:
+    def __init__(self, plan: RunPlan, finish: Callable[[Rows], Rows]) -> None:
         super().__init__(plan.shape)
         self.plan = plan
+        self.finish = finish
         self.answer: Future[Rows] = Future()
-        """All rows as in a journal, trials too."""
+        """What `finish` makes of all rows."""
+        self.answer.set_running_or_notify_cancel()  # it cannot be cancelled
 
 
 class GenomeRequests(RunQueue):
@@ -80,6 +81,8 @@ class Evaluations:
         (docs/methods.md).
     place
         Where the workers run.
+    pool
+        Other evaluations, whose with-block and workers serve this scene too; None: it has its own.
     **scenery
         `gripper` and `object`, and where need be `mass`, `scale`, `friction`, `protocol`, `surface_seed`.
 
@@ -98,10 +101,17 @@ class Evaluations:
     """
 
     def __init__(
-        self, *, prior: str = "contact", place: Place = HERE, **scenery: Unpack[SceneArguments]
+        self,
+        *,
+        prior: str = "contact",
+        place: Place = HERE,
+        pool: "Evaluations | None" = None,
+        **scenery: Unpack[SceneArguments],
     ) -> None:
+        self._place = place
+        self._pool = pool or self
         self.spec = spec_from_arguments(scenery)
-        check_engines([self.spec], place.hands)
+        check_engines([self.spec], self._pool._place.hands)
         self._prepared = prepare_scene(self.spec)
         self.scene = self._prepared.scene
         """The gripper and the object as they are simulated."""
@@ -110,7 +120,6 @@ class Evaluations:
         """The genes: names, and what -1 and 1 stand for."""
         self.endpoint = ""
         """Endpoint of its bus within the with-block; other workers and `qdgrasp jobs` may connect."""
-        self._place = place
         self._count = count(1)
         self._open: ExitStack | None = None
         self._begin()
@@ -122,6 +131,8 @@ class Evaluations:
         self._end: BaseException | None = None
 
     def __enter__(self) -> Self:
+        if self._pool is not self:
+            raise InputError("Evaluations with a pool are open in the with-block of the pool.")
         self._begin()
         with ExitStack() as stack:
             logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="qdgrasp-")))
@@ -166,33 +177,46 @@ class Evaluations:
         EndedEarly
             The job was cancelled, or workers die again and again.
         """
-        rows = self.journal(genomes, timeout)
+        try:
+            return self.submit(genomes).result(timeout)
+        except TimeoutError:
+            raise TimeoutError(f"After {timeout:g} s there are not all rows of the genomes.") from None
+
+    def submit(self, genomes: ArrayLike) -> "Future[Rows]":
+        """Have genomes evaluated, and return at once a future of what `evaluate` returns.
+
+        Several may be under way, of one scene or of several in a pool. None can be cancelled. Raises as
+        `evaluate` does, in part when the result is asked for.
+        """
+        return self._submit(genomes, self._scored)
+
+    def journal(self, genomes: ArrayLike) -> Rows:
+        """Return every row that a journal would have, trials too, with nominal fitness."""
+        return self._submit(genomes, lambda rows: rows).result()
+
+    def _scored(self, rows: Rows) -> Rows:
         found = all_successes(rows, TrialPlan.of(self.spec), least=Outcome.ERROR)
         found.rows["fitness"] = found.scores
         return found.rows
 
-    def journal(self, genomes: ArrayLike, timeout: float | None = None) -> Rows:
-        """Return every row that a journal would have, trials too, with nominal fitness."""
-        if self._open is None:
+    def _submit(self, genomes: ArrayLike, finish: Callable[[Rows], Rows]) -> "Future[Rows]":
+        pool = self._pool
+        if pool._open is None:
             raise InputError("Evaluations are opened by a with-block: `with qdgrasp.Evaluations(...) as e:`.")
         check_process()
         asked = check_genomes(genomes, self.layout)
-        if not len(asked):
-            return row_shape(self.scene, self.prior).empty(0)
         if self.prior == GIVEN:
             check_given("genomes: ", asked, self.scene.gripper)
-        request = GenomeRequest(
-            plan_genomes(self.spec, self._prepared, self.prior, asked, f"lot-{next(self._count)}")
-        )
-        self._pending.append(request)
-        self._queue.put(request.plan)
-        if self._end is not None:
-            raise self._end
-        try:
-            return request.answer.result(timeout)
-        except TimeoutError:
-            genomes = counted(len(asked), "genome")
-            raise TimeoutError(f"After {timeout:g} s there are not all rows of {genomes}.") from None
+        plan = plan_genomes(self.spec, self._prepared, self.prior, asked, f"lot-{next(pool._count)}")
+        request = GenomeRequest(plan, finish)
+        if not len(asked):
+            request.answer.set_result(request.rows)
+            return request.answer
+        pool._pending.append(request)
+        pool._queue.put(request.plan)
+        if pool._end is not None:
+            raise pool._end
+        return request.answer
 
     # The thread of the coordinator.
 
@@ -210,7 +234,7 @@ class Evaluations:
     def _settle(self) -> None:
         for request in list(self._pending):
             if request.plan.pipeline.finished is not None:
-                request.answer.set_result(request.rows)
+                request.answer.set_result(request.finish(request.rows))
                 self._pending.remove(request)
 
     def _record(self, plan: RunPlan) -> MemorySink:

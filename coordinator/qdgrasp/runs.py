@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -18,16 +17,11 @@ from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import check_packages
-from qdgrasp_protocol.rows import Layout, Rows
+from qdgrasp_protocol.rows import Layout, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.campaign_folder import open_campaign
 from qdgrasp_tools.campaign.summaries import RunSummary, run_summary
-from qdgrasp_tools.export.grasp_reader import (
-    GraspChoice,
-    choose_grasps,
-    read_run,
-    select_grasps,
-)
+from qdgrasp_tools.export.grasp_reader import ALL_FAILURES, GraspChoice, choose_grasps, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import frame_of
 from qdgrasp_tools.export.tabular import SAMPLE_ROWS, arrow_table, load_pandas
@@ -84,6 +78,7 @@ class Run:
         holds_in: str | None = None,
         approach_distance: float | None = None,
         resting_pose: int | Literal["any"] | None = None,
+        failures: bool = False,
     ) -> Grasps:
         """Return the grasps found so far, as arrays.
 
@@ -108,6 +103,9 @@ class Run:
             Those alone that the open hand comes to from this distance [m] along its approach axis, touching
             nothing, and above a table that the object rests on in this pose, or "any"; as the run was asked
             unless one is given. `Grasps.reach` tells how.
+        failures
+            After the grasps also every simulated pose that is none, in journal order. Poses that overlap the
+            object are in `rows` alone.
 
         Returns
         -------
@@ -123,7 +121,7 @@ class Run:
         ...     print(grasp.number, grasp.settled_position, grasp.settled_quaternion_xyzw, grasp.joints)
         """
         limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
-        found = read_run(self._folder)
+        found = read_run(self._folder, Outcome.MISSED if failures else Outcome.DROPPED)
         choice = GraspChoice(
             min_fitness=min_fitness,
             top=top,
@@ -133,8 +131,7 @@ class Run:
             approach_distance=approach_distance,
             resting_pose=resting_pose,
         )
-        check = choice.reachability(found.scene, found.spec)
-        return select_grasps(replace(found, approach=check), choice)
+        return choose_grasps(found, choice, ALL_FAILURES if failures else 0).grasps
 
     def tables(self, *, min_fitness: int | None = None, frame: str = "mesh") -> Iterator[Any]:
         """Yield the grasps as tables of pyarrow, some thousands at a time.

@@ -12,7 +12,7 @@ from tests.system.commands import ROUTER, Commands, digest_of, says
 
 import qdgrasp
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_protocol.errors import EndedEarly
+from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.session import Role
 from qdgrasp_tools.security import SecurityFolder
 from qdgrasp_worker.evaluator import Evaluator
@@ -85,6 +85,22 @@ def test_rows_are_those_of_the_simulator(evaluations: qdgrasp.Evaluations, near:
     assert (rows["outcome"] >= qdgrasp.Outcome.DROPPED).any()
     for column in ("genome", "outcome", "fitness", "base_to_object", "joints"):
         assert rows[column].tobytes() == expected[column].tobytes(), column
+
+
+def test_two_scenes_of_a_pool_are_evaluated_at_once_with_the_rows_of_each(evaluations, near) -> None:
+    other = qdgrasp.Evaluations(prior="approach", pool=evaluations, gripper="panda", object="bowl")
+    futures = [
+        each.submit(near[part]) for part in (slice(20), slice(20, 40)) for each in (evaluations, other)
+    ]
+    rows = [future.result(PATIENCE) for future in futures]
+    for each, found in ((evaluations, rows[::2]), (other, rows[1::2])):
+        for column in ("genome", "outcome", "fitness", "base_to_object", "joints"):
+            expected = each.evaluate(near)[column]
+            assert np.concatenate(found)[column].tobytes() == expected.tobytes(), column
+    assert rows[0]["outcome"].tolist() != rows[1]["outcome"].tolist()
+    assert len(other.evaluate(near[:0])) == 0
+    with pytest.raises(InputError, match="in the with-block of the pool"), other:
+        pass
 
 
 def test_poses_that_were_found_score_as_they_did(evaluations: qdgrasp.Evaluations, near: np.ndarray) -> None:

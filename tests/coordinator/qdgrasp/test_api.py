@@ -102,9 +102,13 @@ def test_grasps_are_those_that_survived_a_shake(run: qdgrasp.Run) -> None:
 
 
 def test_the_best_and_the_well_spread_are_some_of_them(run: qdgrasp.Run) -> None:
-    robust = run.grasps(min_fitness=2)
+    rows, robust = run.rows(), run.grasps(min_fitness=2)
     assert (robust.fitness == 2).all()
     assert len(run.grasps(top=7)) == 7
+    both = run.grasps(top=7, failures=True)
+    assert both.numbers[:7].tolist() == run.grasps(top=7).numbers.tolist()
+    simulated = rows["outcome"] >= qdgrasp.Outcome.MISSED
+    assert both.numbers[7:].tolist() == np.flatnonzero(simulated & (rows["fitness"] == 0)).tolist()
     assert (run.grasps(top=7).fitness == 2).all()
     assert set(run.grasps(min_fitness=2, diverse=5).numbers) < set(robust.numbers)
 
