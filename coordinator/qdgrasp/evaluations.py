@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from qdgrasp.arguments import SceneArguments, check_genomes, layout_of, spec_from_arguments
 from qdgrasp.backend import HERE, Place, SilentProgress, check_process, open_place
 from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes
-from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_plan import (
     JobExtent,
     RunPlan,
@@ -32,7 +32,7 @@ from qdgrasp_protocol.rows import GIVEN, Outcome, Rows
 from qdgrasp_tools.local.supervisor import LocalSession, check_engines
 
 
-class GenomeRequest(MemorySink):
+class GenomeRequest(RowSink):
     """Genomes that were asked for together, and their rows as in a journal, trials too."""
 
     def __init__(self, plan: RunPlan, finish: Callable[[Rows], Rows]) -> None:
@@ -237,7 +237,7 @@ class Evaluations:
                 request.answer.set_result(request.finish(request.rows))
                 self._pending.remove(request)
 
-    def _record(self, plan: RunPlan) -> MemorySink:
+    def _record(self, plan: RunPlan) -> RowSink:
         return next(request for request in self._pending if request.plan is plan)
 
     def _leave(self) -> None:

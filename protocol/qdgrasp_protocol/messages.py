@@ -3,11 +3,11 @@
 Field names are the wire's names (docs/bus.md). Arrays travel as one little-endian blob each: messages that
 carry rows hold them in `columns`, by the names of `rows.COLUMNS`.
 
-Bytes are MessagePack with hard limits, then the schema. Nothing recurses into, or prints, what has not
-passed both. The default limits of msgpack let one megabyte of `0x90` become a million objects.
+Bytes are MessagePack with hard limits, then the schema; nothing looks into what has not passed both.
 """
 
 import hashlib
+import os
 import zlib
 from collections.abc import Mapping
 from functools import cache
@@ -129,6 +129,14 @@ class Result(Message, frozen=True, kw_only=True):
     failures: list[Failure] = []
 
 
+TRUST_VARIABLE = "QDGRASP_TRUST"  # A job's secret, which its trusted workers show to its coordinator
+
+
+def worker_key(salt: bytes) -> bytes:
+    """Return a worker's key from 16 random bytes; who knows the same secret recognises it."""
+    return salt + hashlib.sha256(os.environ.get(TRUST_VARIABLE, "").encode() + salt).digest()[:16]
+
+
 def worker_id(key: bytes) -> str:
     """Return the id of the worker that has a key; it shows in a join that the id is its own."""
     return hashlib.sha256(key).hexdigest()[:32]
@@ -229,6 +237,8 @@ class Recordable(Message, frozen=True, kw_only=True):
     """CPU time of these rows on their workers [s], outside the digest."""
     failures: list[Failure] = []
     """Reasons of the failures in rows with `Outcome.ERROR`."""
+    platform: dict[str, str] = {}
+    """The platform of the job's rows; empty at replay."""
     makers: list[tuple[RowCount, Text]] = []
     """Numbers of rows that follow each other, and who made them: a worker's id and host; empty: unknown."""
 
@@ -255,6 +265,8 @@ class OpenRun(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     genes: Width
     joints: Width
     contact_slots: Width = 0
+    excluded: list[Wid] = []
+    """Workers that were found wrong: their rows, and all behind the first of them, are taken back."""
 
 
 class Open(Message, frozen=True, kw_only=True):
@@ -279,15 +291,6 @@ class Opened(Message, frozen=True, kw_only=True):
     """Platform of the recorded rows; empty without rows."""
     identity: JobId = ""
     """Id of the job."""
-
-
-class Platform(Message, frozen=True, kw_only=True):
-    """Coordinator to recorder: the platform of this job's rows, known from the first join on."""
-
-    wire_name = "platform"
-
-    epoch: Count
-    platform: dict[str, str]
 
 
 class Log(Message, frozen=True, kw_only=True):

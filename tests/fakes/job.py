@@ -17,7 +17,7 @@ from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobEvent
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.job_scheduler import JobScheduler
-from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RowSink
+from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_plan import JobExtent, RunPlan, RunQueue
 from qdgrasp_coordinator.scheduler.run_registry import LoaderEvent, RunLoader, RunRegistry
 from qdgrasp_protocol import messages
@@ -68,7 +68,7 @@ class FakeRunQueue(RunQueue):
 
 def runs_of(queue: FakeRunQueue, news: Callable[[LoaderEvent], object] = lambda _event: None) -> RunRegistry:
     """The runs of a queue, whose rows stay in memory."""
-    return RunRegistry(queue, RunLoader(queue, lambda run: MemorySink(run.shape), news, Stop()))
+    return RunRegistry(queue, RunLoader(queue, lambda run: RowSink(run.shape), news, Stop()))
 
 
 def scheduler_of(
@@ -80,7 +80,7 @@ def scheduler_of(
     return scheduler
 
 
-class OpenedSink(MemorySink):
+class OpenedSink(RowSink):
     """A record that is opened with an answer of its own."""
 
     answer: Opened
@@ -95,14 +95,14 @@ class OtherPlatformSink(OpenedSink):
     answer = Opened(epoch=1, durable=[0], platform={"pybullet": "2.0"})
 
 
-class ReplacedSink(MemorySink):
+class ReplacedSink(RowSink):
     """The record of a run that another coordinator has opened."""
 
     def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
         raise TookOver(JOB, epoch + 1)
 
 
-class SlowSink(MemorySink):
+class SlowSink(RowSink):
     """A record whose rows take their time to be safe."""
 
     is_safe = False
@@ -116,7 +116,7 @@ class Job:
     """A coordinator of many runs on a network, whose rows stay in memory.
 
     The network's first session is the coordinator's. `kinds` are the records of some runs, where they are
-    not simply `MemorySink`.
+    not simply `RowSink`.
     """
 
     def __init__(
@@ -124,20 +124,20 @@ class Job:
         plans: dict[str, Plan | None],
         *,
         seconds: float | None = None,
-        **kinds: type[MemorySink],
+        **kinds: type[RowSink],
     ) -> None:
         self._kinds = kinds
         self.programme = FakeRunQueue(plans)
         self.network = MemoryNetwork()
         self.stop = Stop()
-        self.records: dict[str, MemorySink] = {}
+        self.records: dict[str, RowSink] = {}
         self.open: list[int] = []
         self.bus = self.network.session()
         how = {"job": JOB, "queue": self.programme, "make_sink": self._record, "batch_size": 2}
         self.service = CoordinatorService(self.bus, self.stop, seconds=seconds, **how)
 
     def _record(self, plan: RunPlan) -> RowSink:
-        kind = self._kinds.get(plan.run, MemorySink)
+        kind = self._kinds.get(plan.run, RowSink)
         return self.records.setdefault(plan.run, kind(SHAPE))
 
     def carry_out(self, workers: int = 2) -> None:

@@ -102,7 +102,7 @@ class FakeCoordinator:
         self, rows: Rows, first: int, stop: int, *, run: str = "run", epoch: int = 0, **beside: object
     ) -> None:
         part = JournalSlice(first, rows[first:stop], **beside)  # type: ignore[arg-type]
-        self.put(slice_to_message(part, run, epoch or self.epoch, SHAPE))
+        self.put(slice_to_message(part, run, epoch or self.epoch, SHAPE, {"pybullet": "3.2.7"}))
 
     def put(self, message: Message) -> None:
         put(self._bus, self._keys.outcome(self.epoch), message)

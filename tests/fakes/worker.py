@@ -1,7 +1,7 @@
 """Workers: one that only pretends, and one of which all but the evaluator is real."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from queue import SimpleQueue
 
@@ -18,7 +18,7 @@ from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Control, Failure, Joined, Result, Work, deflated
 from qdgrasp_protocol.process import Stop
-from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack
+from qdgrasp_protocol.rows import COLUMNS, RESULT, Rows, pack, unpack
 from qdgrasp_worker.runtime.service import Inbox, WorkerService
 from qdgrasp_worker.runtime.simulator_supervisor import SimulatorClient, SimulatorSupervisor
 
@@ -30,7 +30,15 @@ GRACE = PATIENCE
 class FakeWorker:
     """A worker that joins, and answers each batch in the thread that brings it, or keeps it."""
 
-    def __init__(self, bus: Bus, wid: str, *, answers: bool = True) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        wid: str,
+        *,
+        answers: bool = True,
+        evaluate: Callable[[Rows], Rows] = evaluate,
+    ) -> None:
+        self._evaluate = evaluate
         self._bus, self._keys, self._wid, self._answers = bus, Keys(JOB), wid, answers
         self._inbox: SimpleQueue[Sample | None] = SimpleQueue()
         self.runs: set[str] = set()
@@ -75,7 +83,7 @@ class FakeWorker:
                 self.kept.set()
 
     def _result(self, work: Work) -> Result:
-        found = evaluate(unpack(SHAPE.empty(work.n), WORK, work.columns))
+        found = self._evaluate(unpack(SHAPE.empty(work.n), WORK, work.columns))
         failed = np.flatnonzero(found["outcome"] == 0).tolist()
         same = ("epoch", "run", "generation", "batch", "attempt", "n")
         return result_message(

@@ -59,6 +59,8 @@ class SimulatedLoader(RunQueue):
     `built`; None: runs wait for none.
     """
 
+    excluded: frozenset[str] = frozenset()
+
     def __init__(
         self,
         host: "Coordinator",

@@ -255,9 +255,9 @@ class DispatchChecker:
         self.outstanding.update(keys)
         self._real_submit(run, generation)
 
-    def _withdraw(self, run: str) -> dict[str, list[bytes]]:
+    def _withdraw(self, run: str, *, audits: bool = True) -> dict[str, list[bytes]]:
         self.outstanding = {key for key in self.outstanding if key[0] != run}
-        drops = self._real_withdraw(run)
+        drops = self._real_withdraw(run, audits=audits)
         self.taken_back.update({wid: len(batches) for wid, batches in drops.items()})
         return drops
 

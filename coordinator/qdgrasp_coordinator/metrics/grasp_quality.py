@@ -1,7 +1,7 @@
 """Settled pose, motion of the object and margin of recorded grasps, and limits to them.
 
-Rows are those of a journal or of success pages. Runs of version 0.1.0 recorded no settled pose: their motion
-and margin are NaN, which no limit admits.
+Rows are those of a journal or of success pages. Where no settled pose was recorded, motion and margin are
+NaN, which no limit admits.
 """
 
 from dataclasses import dataclass, fields
@@ -30,8 +30,7 @@ def settled_mask(rows: Rows) -> NDArray[np.bool_]:
 def settled_poses(rows: Rows) -> Floats:
     """(n, 7): the hand's base link after closing, CoM frame; as commanded where unknown."""
     poses, known = rows["base_to_object"].astype(np.float64), settled_mask(rows)
-    if known.any():  # rows of version 0.1.0 have no room for it
-        poses[known] = rows["settled"][known]
+    poses[known] = rows["settled"][known]
     return poses
 
 
@@ -123,8 +122,6 @@ class GraspLimits:
 
     def reason(self, rows: Rows, scene: Scene) -> str:
         """Say how many of some rows each limit admits, for a person."""
-        if not settled_mask(rows).any() and {"max_motion", "min_margin"} & self.given.keys():
-            return "motion and margin are not known, the run was recorded before they were"
         alone = {name: msgspec.convert({name: value}, GraspLimits) for name, value in self.given.items()}
         counts = {name: int(limit.admitted(rows, scene).sum()) for name, limit in alone.items()}
         words = (f"--{name.replace('_', '-')} {self.given[name]:g} admits {n}" for name, n in counts.items())

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.cells import cell_keys, cells, orientations
 from qdgrasp_coordinator.metrics.contact_niches import contact_niches
-from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import DiversityName, RunSpec
 
@@ -22,7 +21,6 @@ Counts = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 WINDOW = 1000  # Simulated evaluations whose rate of new niches is held against that of the whole run
-DIGITS = 10_000  # A share in an error is rounded down to a fraction of this
 
 
 class StopTracker:
@@ -31,7 +29,6 @@ class StopTracker:
     def __init__(self, spec: RunSpec) -> None:
         self._least_grasps, self._saturation = spec.grasps, spec.saturation or None
         self._grasps = 0
-        self._last = Outcome.ERROR  # of the last row
         self._rate = NicheRate(spec.diversity)
 
     def count(self, rows: Rows) -> None:
@@ -39,7 +36,6 @@ class StopTracker:
         if not len(rows):
             return
         self._grasps += int(np.count_nonzero(rows["outcome"] >= Outcome.SHAKEN))
-        self._last = Outcome(rows["outcome"][-1])
         if self._saturation is not None:
             self._rate.count(rows)
 
@@ -62,17 +58,6 @@ class StopTracker:
             ends.append(count_to_first(self._rate.shares(rows) <= self._saturation))
         return min(ends)
 
-    def check(self) -> None:
-        """Raise `ImpossibleValue` if a goal was reached before the last row that was counted."""
-        least = self._grasps + (not self._last.is_grasp)
-        if self._least_grasps is not None and self._least_grasps < least:
-            raise ImpossibleValue("grasps", self._least_grasps, f"at least {least}, which are recorded")
-        if self._saturation is not None and self._saturation >= self._rate.least:
-            bound = math.floor(self._rate.least * DIGITS) / DIGITS
-            raise ImpossibleValue(
-                "saturation", self._saturation, f"less than {bound}: so small a share is recorded"
-            )
-
 
 class NicheRate:
     """Rate of new niches with a grasp: over the last simulated evaluations, and over all.
@@ -84,8 +69,6 @@ class NicheRate:
     def __init__(self, by: DiversityName | None) -> None:
         self.share = math.inf
         """Share at the last row; infinite while the run is shorter than the window."""
-        self.least = math.inf
-        """Least share before the last row."""
         self.window = WINDOW
         self._by = by
         self._niches: set[tuple[int, int]] = set()  # Cell and orientation bin of each, 0 without these
@@ -94,9 +77,8 @@ class NicheRate:
 
     def count(self, rows: Rows) -> None:
         """Count the next nominal rows: (n,), n > 0."""
-        shares, first = self.shares(rows), self._first_of_niche(rows)
-        self.least = min(self.least, self.share, float(shares[:-1].min(initial=math.inf)))
-        self.share = float(shares[-1])
+        first = self._first_of_niche(rows)
+        self.share = float(self.shares(rows)[-1])
         is_simulated = rows["outcome"] >= Outcome.MISSED
         self._history = self._extended_history(rows, first)[-self.window :]
         self._simulated += int(np.count_nonzero(is_simulated))

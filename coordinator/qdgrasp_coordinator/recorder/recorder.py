@@ -35,7 +35,7 @@ from qdgrasp_protocol.errors import (
     TookOver,
 )
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Log, Open, Opened, Platform, Recordable, Recorded, shorten
+from qdgrasp_protocol.messages import Log, Open, Opened, Recordable, Recorded, shorten
 from qdgrasp_protocol.spec import read_run_spec
 
 log = structlog.get_logger()
@@ -105,8 +105,6 @@ class Recorder(ExitStack):
                 message = messages.decode(sample.payload, Recordable)
                 if not self.add_rows(message, now):
                     self._news.add(message.run)
-            elif sample.encoding == messages.encoding(Platform):
-                self.set_platform(messages.decode(sample.payload, Platform))
         except (MessageError, Refused) as error:
             self._drops.note(sample.key, error)
 
@@ -119,15 +117,10 @@ class Recorder(ExitStack):
         if message.epoch < self.epoch:
             return False
         is_taken = writer.add(slice_from_message(message, writer.identity.shape), message.epoch, now)
-        self.epoch = message.epoch
+        self.epoch, self._platform = message.epoch, message.platform or self._platform
         if is_taken:
             self._waiting[message.run] = writer
         return is_taken
-
-    def set_platform(self, message: Platform) -> None:
-        """Set the platform of rows to come; a journal gets it before its next rows."""
-        if message.epoch >= self.epoch and message.platform:
-            self._platform = message.platform
 
     def answer(self, query: Query, now: float) -> bytes:
         """Open runs, or show recorded rows; else raise `Refused`, or `NoReply` for want of room now."""
@@ -158,7 +151,7 @@ class Recorder(ExitStack):
 
         Raises `Refused` where the coordinator was replaced, a run is not the one that its folder holds, or it
         was recorded on another platform; `FolderError` or `DiskFull` where something cannot be written; and
-        `InputError` where a spec is not valid, or its run is to end before what is recorded of it.
+        `InputError` where a spec is not valid.
         """
         self._check_request(asked)
         runs = [JournalIdentity.of(run) for run in asked.runs]
@@ -171,7 +164,11 @@ class Recorder(ExitStack):
             self._begin_epoch(asked.epoch or self.epoch + 1)
         self._store_epoch()
         self._platform = platform
-        durable = [self._open(run).durable for run in runs]
+        writers = list(map(self._open, runs))
+        for writer, each in zip(writers, asked.runs, strict=True):
+            if each.excluded:
+                writer.exclude(set(each.excluded))
+        durable = [writer.durable for writer in writers]
         log.info("opened", runs=[run.run for run in runs], epoch=self.epoch, rows=durable)
         identity = self.folder.identity
         return Opened(epoch=self.epoch, durable=durable, platform=platform, identity=identity)
@@ -183,12 +180,6 @@ class Recorder(ExitStack):
             raise Refused(f"this recorder keeps the runs of job '{self._job}', not of '{asked.job}'")
         if 0 < asked.epoch < self.epoch:
             raise Refused(f"epoch {asked.epoch} is over: {TookOver.BY} {self.epoch}")
-        if len(set(runs)) < len(runs):
-            raise Refused(f"expected different runs to open, got {runs}")
-        if not runs and asked.epoch:
-            raise Refused("expected runs to open in an epoch that has begun, got none")
-        if RUN in runs and len(runs) > 1:
-            raise Refused(f"'{RUN}' is the name of a run of its own, which has no others beside it")
         is_campaign = RUN not in runs
         if self._is_begun and self.folder.is_campaign != is_campaign:
             raise Refused(
@@ -217,7 +208,6 @@ class Recorder(ExitStack):
         writer = self._find(run.run)
         if writer is not None:
             check_same_run(path, writer.identity, run)
-            writer.check_end(run.spec)
         elif RunFolder.is_run(path):
             folder = RunFolder(path)
             scene = folder.bundle().digest if folder.has_bundle() else run.scene

@@ -6,7 +6,6 @@ Time is passed in, in seconds of any steady clock.
 
 import time
 from dataclasses import replace
-from itertools import chain
 from math import inf
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice, j
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter, OpenJournals
 from qdgrasp_coordinator.storage.platforms import platform_of
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_protocol.errors import ImpossibleValue, InputError, Refused
+from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import RunSpec, differences
 
@@ -51,6 +50,7 @@ class RunWriter:
         self._counter: RunCounter | None = None  # Counts rows on disk; None before the first commit
         self._epoch = epoch
         self._waiting: list[JournalSlice] = []
+        self._excluded: set[str] = set()
         self._since = 0.0
 
     @property
@@ -80,22 +80,21 @@ class RunWriter:
             self.folder.rewrite_spec(spec)
         self.journal.begin_epoch(epoch, time.time())
 
-    def check_end(self, spec: RunSpec) -> None:
-        """Raise `InputError` if the run, by this spec, ends before a row that is here or waits."""
-        if spec == self.identity.spec:
-            return
-        try:
-            rows = chain(self.journal.blocks(), (part.rows for part in self._waiting))
-            count_rows(spec, rows).check_budget()
-        except ImpossibleValue as reason:
-            raise InputError(f"{self.folder.path} cannot end as is asked: {reason}") from None
+    def exclude(self, workers: set[str]) -> None:
+        """Take back the rows of workers that were found wrong, and all behind the first of them."""
+        self._excluded = workers
+        self._waiting.clear()
+        wrong = [number for number, _, worker, _ in self.journal.makers() if worker in workers]
+        if wrong:
+            self.durable, self._counter = self.journal.withdraw(wrong[0]), None
 
     def add(self, rows: JournalSlice, epoch: int, now: float) -> bool:
         """Queue those of consecutive rows that are new for their commit; False: none is taken.
 
-        They are of a coordinator that was replaced, known already, behind a gap, or more than can wait.
+        They are of a coordinator that was replaced, or a worker found wrong, known already, behind a gap, or
+        more than can wait.
         """
-        if epoch < self._epoch:
+        if epoch < self._epoch or self._excluded & {maker.partition(" ")[0] for maker in set(rows.makers)}:
             return False
         self._epoch = epoch
         if not rows.first <= self.expected < rows.stop or rows.stop - self.durable > MOST_WAITING:

@@ -5,7 +5,6 @@ is evaluated again, and the first result of a batch is as good as any other. Tim
 any steady clock.
 """
 
-import secrets
 from collections import OrderedDict, deque
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -14,6 +13,7 @@ from enum import Enum
 import msgspec
 import numpy as np
 
+from qdgrasp_coordinator.scheduler.auditor import Audit
 from qdgrasp_coordinator.scheduler.batch_queue import Batch, BatchQueue, RunRef, Task
 from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.run_plan import BuildReply
@@ -27,6 +27,7 @@ STRIKES = 3
 """Tries of a row that fails, or leases of a build, after which it is given up."""
 MOST_SETTLED = 10_000
 """Settled batches that are remembered, to tell duplicate and late results from unknown ones."""
+MOST_AUDITS = 128  # Audits that wait for a trusted worker; with so many no more are drawn
 _COUNTED = ("leased", "requeued", "doubled", "failures", "errors")
 
 
@@ -93,6 +94,8 @@ class SettleReply:
     """Reasons of final failures, by place in `rows`, which hold `Outcome.ERROR` and zeros."""
     superseded: tuple[str, ...] = ()
     """Other holders of the batch, which are to drop it; their credit is free already."""
+    audit: Audit | None = None
+    """What was audited, if the batch was an audit."""
 
 
 class Dispatcher:
@@ -115,18 +118,30 @@ class Dispatcher:
         self._settled: OrderedDict[bytes, set[str]] = OrderedDict()
         """The latest that was settled, by id: the workers that were leased it."""
         self._builds: deque[ShapeBuild] = deque()  # That wait for a worker
-        self._prefix = secrets.token_bytes(8)
-        self._begun_builds = 0
 
     def submit(self, run: RunRef, generation: Generation) -> None:
         """Queue rows of one generation of a run."""
         self._queue.submit(run, generation)
 
-    def withdraw(self, run: str) -> dict[str, list[bytes]]:
-        """Forget all rows of a run; gives the batches that workers may drop, by worker."""
-        self._queue.withdraw(run)
-        open_ = self._open.values()
-        return self._withdraw([task for task in open_ if isinstance(task, Batch) and task.run.run == run])
+    def withdraw(self, run: str, *, audits: bool = True) -> dict[str, list[bytes]]:
+        """Forget the rows of a run, and its `audits`; gives batches that workers may drop."""
+        self._queue.withdraw(run, audits=audits)
+        tasks = (task for task in self._open.values() if isinstance(task, Batch) and task.run.run == run)
+        return self._withdraw([task for task in tasks if audits or not isinstance(task, Audit)])
+
+    def audit(self, run: RunRef, rows: Rows, maker: str, answer: Rows | None = None) -> None:
+        """Have a trusted worker evaluate rows (n,) of a generation again; `answer`: to confirm it."""
+        asked = Generation(int(rows["generation"][0]), rows["index"], rows["trial"], rows["genome"])
+        if answer is not None or len(self._queue.audits) < MOST_AUDITS:
+            audit = Audit(id=self._queue.new_id(), run=run, rows=asked, recorded=rows, answer=answer)
+            audit.tried_by = (maker,)
+            self._queue.requeue(audit)
+
+    def awaits_audit(self, run: str) -> bool:
+        """Return whether rows of a run are to be audited, and a trusted worker is there."""
+        audits = [*self._queue.audits, *(task for task in self._open.values() if isinstance(task, Audit))]
+        is_trusted_there = any(worker.is_trusted and worker.is_well for worker in self._workers)
+        return is_trusted_there and any(audit.run.run == run for audit in audits)
 
     def _withdraw(self, tasks: Iterable[Task]) -> dict[str, list[bytes]]:
         drops: dict[str, list[bytes]] = {}
@@ -196,7 +211,9 @@ class Dispatcher:
         return None if run is None else self._queue.pop(run, len(self._workers), rows)
 
     def _may_have(self, worker: Worker, batch: Batch, now: float) -> bool:
-        """Return whether a worker may have a failed row: one that has not tried it, if there is one."""
+        """Return whether a worker may have an audit, or a row that failed, on others first."""
+        if batch.is_audit:
+            return worker.is_trusted
         if batch.run.needs_device and not worker.join.rows:
             return False
         return worker.wid not in batch.tried_by or not self._workers.expects_other(batch.tried_by, now)
@@ -309,6 +326,9 @@ class Dispatcher:
         batch = self._take(wid, result, now)
         if not isinstance(batch, Batch):
             return None
+        if isinstance(batch, Audit):
+            complete_rows(rows, batch, {failure.row for failure in result.failures})
+            return SettleReply(rows, result.cpu_seconds, audit=batch)
         self._queue.measure(batch, result.cpu_seconds)
         if wid in batch.holders:
             self._workers.lease_timeout.measure(now - batch.holders[wid])
@@ -366,8 +386,7 @@ class Dispatcher:
         self._builds.extend(map(self._new_build, tasks))
 
     def _new_build(self, task: ShapeTask, attempts: int = 0) -> ShapeBuild:
-        self._begun_builds += 1
-        return ShapeBuild(id=self._prefix + self._begun_builds.to_bytes(8), task=task, attempts=attempts)
+        return ShapeBuild(id=self._queue.new_id(), task=task, attempts=attempts)
 
     def settle_build(self, wid: str, built: Built, now: float) -> BuildReply | None:
         """Settle the answer to a build; None: it is dropped, or the build is tried again.

@@ -49,6 +49,8 @@ class Batch(Task):
     rows: Generation
     tried_by: tuple[str, ...] = ()
     """Workers whose simulator failed on this row, which is alone then: another one is to evaluate it."""
+    is_audit: bool = False
+    """Only a trusted worker may have it."""
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -123,7 +125,7 @@ class BatchQueue:
         self._batch_size = batch_size
         self._runs: dict[str, _RunBatches] = {}
         self._again: dict[bytes, Batch] = {}
-        """Rows that failed, for other workers than those that had them, by the id of their batch."""
+        """Rows that failed, for other workers than those that had them, and audits, by their batch's id."""
         self._rows = 0
         """Number of waiting rows of all runs."""
         self._cut = 0
@@ -132,6 +134,11 @@ class BatchQueue:
     def __bool__(self) -> bool:
         """True if rows wait that any worker may have."""
         return any(self._runs.values())
+
+    @property
+    def audits(self) -> list[Batch]:
+        """Audits that wait for a trusted worker."""
+        return [batch for batch in self._again.values() if batch.is_audit]
 
     @property
     def has_tried(self) -> bool:
@@ -147,7 +154,7 @@ class BatchQueue:
     def batches(self) -> int:
         """Number of batches of about `BATCH_SECONDS` that the waiting rows make."""
         waiting = sum(ceil(len(rows) / rows.sizer.full_size) for rows in self._runs.values())
-        return waiting + len(self._again)
+        return waiting + len(self._again) - len(self.audits)
 
     def submit(self, run: RunRef, generation: Generation) -> None:
         """Take rows of one generation that were never leased."""
@@ -157,9 +164,10 @@ class BatchQueue:
         waiting.uncut.append(generation)
         self._rows += len(generation)
 
-    def withdraw(self, run: str) -> None:
-        """Forget a run."""
-        self._again = {name: batch for name, batch in self._again.items() if batch.run.run != run}
+    def withdraw(self, run: str, *, audits: bool) -> None:
+        """Forget a run, and its `audits` if asked to."""
+        again = (one for one in self._again.values() if one.run.run != run or (one.is_audit and not audits))
+        self._again = {batch.id: batch for batch in again}
         if (gone := self._runs.pop(run, None)) is not None:
             self._rows -= len(gone)
 
@@ -198,7 +206,7 @@ class BatchQueue:
                 n = waiting.sizer.next_size(len(rows), workers, shared)
             if n < len(rows):
                 waiting.uncut.appendleft(rows[n:])
-            batch = Batch(id=self._new_id(), run=waiting.run, rows=rows[:n])
+            batch = Batch(id=self.new_id(), run=waiting.run, rows=rows[:n])
         self._rows -= len(batch)
         self._served = waiting.served
         waiting.served += len(batch) * (waiting.sizer.seconds_per_row or 0.0)
@@ -209,8 +217,6 @@ class BatchQueue:
         found = next((batch for batch in self._again.values() if may_have(batch)), None)
         if found is not None:
             del self._again[found.id]
-            waiting = self._runs[found.run.run]
-            waiting.served += len(found) * (waiting.sizer.seconds_per_row or 0.0)
         return found
 
     def requeue(self, batch: Batch) -> None:
@@ -226,7 +232,7 @@ class BatchQueue:
     def requeue_row(self, batch: Batch, place: int, wid: str) -> None:
         """Queue a row that failed on a worker for another one, as a batch of its own."""
         row, tried = batch.rows[place : place + 1], (*batch.tried_by, wid)
-        self.requeue(Batch(id=self._new_id(), run=batch.run, rows=row, tried_by=tried))
+        self.requeue(Batch(id=self.new_id(), run=batch.run, rows=row, tried_by=tried))
 
     def remove(self, batch: Batch) -> None:
         """Forget a batch that was queued again, if it still waits."""
@@ -239,7 +245,7 @@ class BatchQueue:
         """Record the cost of a batch."""
         self._runs[batch.run.run].sizer.measure(len(batch), cpu_seconds)
 
-    def _new_id(self) -> bytes:
+    def new_id(self) -> bytes:
         """Return an id that stays unique if an epoch recurs, as after a disk was restored."""
         self._cut += 1
         return self._prefix + self._cut.to_bytes(8)

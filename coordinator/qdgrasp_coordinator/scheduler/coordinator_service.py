@@ -17,7 +17,6 @@ from typing import TypeVar
 
 import structlog
 
-from qdgrasp_assets.scene import Bundle
 from qdgrasp_coordinator.metrics.job_status import EventLog
 from qdgrasp_coordinator.scheduler.job_scheduler import (
     JobScheduler,
@@ -52,82 +51,6 @@ class AdminRequest:
 
 Inbox = SimpleQueue[SchedulerEvent | AdminRequest | None]
 """Input of the coordinator's one thread, in the order it came; None: check for signals."""
-
-
-class BusSubscriptions(ExitStack):
-    """The coordinator's bus subscriptions; a context manager that closes them.
-
-    `asset` returns the scene of a digest, or the file of a shape, or None; `show` answers queries for the
-    job's status. Both are called in any thread.
-    """
-
-    def __init__(
-        self,
-        bus: Bus,
-        keys: Keys,
-        inbox: Inbox,
-        asset: Callable[[str], Bundle | Path | None],
-        show: Callable[[Query], dict[str, bytes]],
-    ) -> None:
-        super().__init__()
-        self._bus = bus
-        self._keys = keys
-        self._inbox = inbox
-        self._asset = asset
-        self._show = show
-
-    def open(self) -> None:
-        """Subscribe for recorders, monitors and administrators."""
-        enter, bus, keys = self.enter_context, self._bus, self._keys
-        enter(bus.subscribe(keys.recorded, self._inbox.put))
-        enter(bus.watch(keys.recorder_token(), self._put_token))
-        enter(bus.answer(keys.control, self._answer_order))
-        for shown in (keys.stat(), keys.meta, keys.recent):
-            enter(bus.answer_values(shown, self._show))
-
-    def open_to_workers(self, epoch: int) -> None:
-        """Subscribe to results, joins and scene queries, then put up the token for workers."""
-        enter, bus, keys = self.enter_context, self._bus, self._keys
-        enter(bus.subscribe(keys.result(), self._inbox.put))
-        enter(bus.subscribe(keys.stat("worker/*"), self._inbox.put))
-        enter(bus.answer(keys.join, self._answer_join))
-        enter(bus.answer(keys.asset(), self._answer_asset))
-        enter(bus.watch(keys.worker_token(), self._put_token))
-        enter(bus.on_link(lambda up: self._inbox.put(LinkChange(up))))
-        enter(bus.watch(keys.coordinator_token(), self._put_token))
-        enter(bus.token(keys.coordinator_token(epoch)))
-
-    def _put_token(self, key: str, alive: bool) -> None:
-        self._inbox.put(TokenChange(key, alive))
-
-    def _answer_join(self, query: Query) -> bytes:
-        try:
-            request = JoinRequest(messages.decode(query.payload, Join))
-        except MessageError as error:
-            raise Refused(str(error)) from None
-        if worker_id(request.join.key) != request.join.wid:
-            raise Refused(
-                f"the id {request.join.wid} is not that of the worker's key: it is another worker's"
-            )
-        self._inbox.put(request)
-        return _await(request.answer)
-
-    def _answer_order(self, query: Query) -> bytes:
-        try:
-            request = AdminRequest(messages.decode(query.payload, Order))
-        except MessageError as error:
-            raise Refused(str(error)) from None
-        self._inbox.put(request)
-        return messages.encode(OrderReply(words=shorten(_await(request.answer))))
-
-    def _answer_asset(self, query: Query) -> bytes:
-        digest = last_chunk(query.key)
-        asset = self._asset(digest)
-        if asset is None:
-            raise Refused(f"no run in progress has the scene {digest[:12]}")
-        if isinstance(asset, Path):
-            return answer_file_chunk(query, asset)
-        return answer_chunk(query, asset.payload, digest)
 
 
 def _await(answer: "Future[T]") -> T:
@@ -165,9 +88,9 @@ class CoordinatorService:
     ) -> None:
         self._bus = bus
         self._stop = stop
-        self._inbox: Inbox = SimpleQueue()
+        self.inbox: Inbox = SimpleQueue()
         self._events = EventLog(lambda event: self._publisher.publish_event(event))
-        self._runs = RunRegistry(queue, RunLoader(queue, make_sink, self._inbox.put, stop, begin_epoch))
+        self._runs = RunRegistry(queue, RunLoader(queue, make_sink, self.inbox.put, stop, begin_epoch))
         self.scheduler = JobScheduler(
             job,
             self._runs,
@@ -175,14 +98,13 @@ class CoordinatorService:
             batch_size=batch_size,
             events=self._events,
             ends_at=inf if seconds is None else time.monotonic() + seconds,
-            on_epoch=self._open_to_workers,
+            on_epoch=self.open_to_workers,
             on_finished=lambda run, now: self._publisher.publish_run(run, now),
         )
         self.scheduler.is_paused = paused
         self._publisher = StatusPublisher(bus, self.scheduler)
-        self._subscriptions = BusSubscriptions(
-            bus, Keys(job), self._inbox, self._runs.asset, self._publisher.cache.answer
-        )
+        self._keys = Keys(job)
+        self.subscriptions = ExitStack()
 
     def run(self, on_step: Callable[[float], None] = lambda _now: None) -> None:
         """Carry all runs out until they are finished and recorded, or until asked to stop.
@@ -192,12 +114,12 @@ class CoordinatorService:
         the others were: a scene that cannot be built, a recorder that holds another run, a journal that is
         not what its spec replays to.
         """
-        self._stop.tell(lambda: self._inbox.put(None))
-        self._inbox.put(None)  # the first step waits for nothing
+        self._stop.tell(lambda: self.inbox.put(None))
+        self.inbox.put(None)  # the first step waits for nothing
         scheduler, runs = self.scheduler, self._runs
-        with closing(runs), self._subscriptions:
+        with closing(runs), self.subscriptions:
             self._publisher.open(time.monotonic())
-            self._subscriptions.open()
+            self._subscribe()
             while not (self._stop.is_set or runs.are_done or scheduler.has_ended(time.monotonic())):
                 self._step()
                 on_step(time.monotonic())
@@ -218,9 +140,9 @@ class CoordinatorService:
         now = time.monotonic()
         deadline = min(self.scheduler.next_deadline(), self._publisher.due)
         with suppress(Empty):
-            self._take(self._inbox.get(timeout=min(MOST_WAIT, max(0.0, deadline - now))))
+            self._take(self.inbox.get(timeout=min(MOST_WAIT, max(0.0, deadline - now))))
             for _ in range(MOST_EVENTS):
-                self._take(self._inbox.get_nowait())
+                self._take(self.inbox.get_nowait())
         now = time.monotonic()
         self.scheduler.step(now)
         if now >= self._publisher.due:
@@ -243,9 +165,61 @@ class CoordinatorService:
         self._publisher.publish(now)  # a status that is queried after the answer shows it done
         answer.set_result(words)
 
-    def _open_to_workers(self, epoch: int, identity: str) -> None:
-        self._subscriptions.open_to_workers(epoch)
+    # Callbacks of the bus, in any thread, only put events into the inbox.
+
+    def _subscribe(self) -> None:
+        """Subscribe for recorders, monitors and administrators."""
+        enter, bus, keys = self.subscriptions.enter_context, self._bus, self._keys
+        enter(bus.subscribe(keys.recorded, self.inbox.put))
+        enter(bus.watch(keys.recorder_token(), self._put_token))
+        enter(bus.answer(keys.control, self._answer_order))
+        for shown in (keys.stat(), keys.meta, keys.recent):
+            enter(bus.answer_values(shown, self._publisher.cache.answer))
+
+    def open_to_workers(self, epoch: int, identity: str) -> None:
+        """Subscribe to results, joins and scene queries, then put up the token for workers."""
+        enter, bus, keys = self.subscriptions.enter_context, self._bus, self._keys
+        enter(bus.subscribe(keys.result(), self.inbox.put))
+        enter(bus.subscribe(keys.stat("worker/*"), self.inbox.put))
+        enter(bus.answer(keys.join, self._answer_join))
+        enter(bus.answer(keys.asset(), self._answer_asset))
+        enter(bus.watch(keys.worker_token(), self._put_token))
+        enter(bus.on_link(lambda up: self.inbox.put(LinkChange(up))))
+        enter(bus.watch(keys.coordinator_token(), self._put_token))
+        enter(bus.token(keys.coordinator_token(epoch)))
         self._publisher.publish_meta(identity)
+
+    def _put_token(self, key: str, alive: bool) -> None:
+        self.inbox.put(TokenChange(key, alive))
+
+    def _answer_join(self, query: Query) -> bytes:
+        try:
+            request = JoinRequest(messages.decode(query.payload, Join))
+        except MessageError as error:
+            raise Refused(str(error)) from None
+        if worker_id(request.join.key) != request.join.wid:
+            raise Refused(
+                f"the id {request.join.wid} is not that of the worker's key: it is another worker's"
+            )
+        self.inbox.put(request)
+        return _await(request.answer)
+
+    def _answer_order(self, query: Query) -> bytes:
+        try:
+            request = AdminRequest(messages.decode(query.payload, Order))
+        except MessageError as error:
+            raise Refused(str(error)) from None
+        self.inbox.put(request)
+        return messages.encode(OrderReply(words=shorten(_await(request.answer))))
+
+    def _answer_asset(self, query: Query) -> bytes:
+        digest = last_chunk(query.key)
+        asset = self._runs.asset(digest)
+        if asset is None:
+            raise Refused(f"no run in progress has the scene {digest[:12]}")
+        if isinstance(asset, Path):
+            return answer_file_chunk(query, asset)
+        return answer_chunk(query, asset.payload, digest)
 
     def _put(self, key: str, message: Message, channel: Channel) -> None:
         kind = messages.encoding(type(message))

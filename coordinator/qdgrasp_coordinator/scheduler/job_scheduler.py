@@ -16,6 +16,7 @@ import structlog
 
 from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
 from qdgrasp_coordinator.metrics.time_left import TimeLeft
+from qdgrasp_coordinator.scheduler.auditor import Audit, Auditor
 from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher, read_result
 from qdgrasp_coordinator.scheduler.run_plan import BuildReply, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
@@ -24,7 +25,12 @@ from qdgrasp_coordinator.scheduler.run_registry import (
     LoaderEvent,
     RunRegistry,
 )
-from qdgrasp_coordinator.scheduler.worker_registry import WID_DIGITS, LostWorker, Worker, WorkerRegistry
+from qdgrasp_coordinator.scheduler.worker_registry import (
+    WID_DIGITS,
+    LostWorker,
+    WorkerRegistry,
+    choose_workers,
+)
 from qdgrasp_coordinator.storage.platforms import LacksEngine, admit_platform, lacks_engine
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Built
@@ -50,7 +56,8 @@ from qdgrasp_protocol.messages import (
     Result,
     worker_id,
 )
-from qdgrasp_protocol.text import counted, first_few
+from qdgrasp_protocol.rows import Rows
+from qdgrasp_protocol.text import counted
 
 log = structlog.get_logger()
 
@@ -123,6 +130,7 @@ class JobScheduler:
         self.epoch = epoch
         self.workers = WorkerRegistry()
         self.dispatcher = Dispatcher(epoch, self.workers, self._batch_size)
+        self._auditor = Auditor(self.dispatcher.audit)
 
     def handle(self, event: SchedulerEvent, now: float) -> None:
         """Process an event; TookOver if another coordinator did."""
@@ -168,12 +176,16 @@ class JobScheduler:
     def _on_result(self, result: Result, wid: str, now: float) -> None:
         """Settle a result once, and pass the rows that became final on to the recorder."""
         run = self.runs.get(result.run)
-        if run is None:
-            self.workers.progressed(wid, now)
+        if run is None or wid in self.runs.excluded:
+            self.workers.answered(wid, result.batch, now)
+            self.dispatcher.requeue(wid, [result.batch])  # an audit, while its run is opened again
             return
         result, rows = read_result(result, run.plan.shape)
         settled = self.dispatcher.settle(wid, result, rows, now)
         if settled is None:
+            return
+        if settled.audit is not None:
+            self._on_audit(run.name, settled.audit, settled.rows)
             return
         for other in settled.superseded:
             self._drop(other, [result.batch])
@@ -182,11 +194,29 @@ class JobScheduler:
             rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
             words = f"{rows_of} given up after {STRIKES} tries: {failures[0].reason}."
             self.events.note("error", words, run=run.name, worker=wid)
-        worker = self.workers.get(wid)
+        worker = self.workers.find(wid)
         maker = messages.shorten(f"{wid} {worker.join.host if worker else ''}")
+        self._auditor.draw(run.ref, settled.rows, worker)
         run.sink.push(run.pipeline.settle(settled.rows, settled.cpu_seconds, settled.failures, maker))
         if run.pipeline.finished is not None:
-            self._withdraw(run.name)
+            self._withdraw(run.name, audits=False)
+
+    def _on_audit(self, run: str, audit: Audit, rows: Rows) -> None:
+        """Exclude a worker that was certainly wrong, and take back all rows that it made."""
+        row, (wid,) = self._auditor.first_wrong(audit, rows), audit.tried_by
+        if row is None or wid in self.runs.excluded:
+            return
+        worker = self.workers.find(wid)
+        who = worker.description if worker else f"Worker {wid[:WID_DIGITS]}"
+        place = f"generation {row['generation']}, index {row['index']}, trial {row['trial']}"
+        words = f"{who} is excluded: its result for {place} of run '{run}' is wrong. Its rows are taken back."
+        log.error("a worker is excluded", worker=wid, run=run, row=place)
+        self.events.note("error", words, run=run, worker=wid)
+        self.workers.drain(wid)
+        self._send_away(wid)
+        for one in self.runs:
+            self._withdraw(one.name, audits=False)
+        self.runs.exclude(wid)
 
     def _on_built(self, built: Built, wid: str, now: float) -> None:
         """Settle a build once; the runs that wait for its shape are opened, or fail."""
@@ -258,6 +288,9 @@ class JobScheduler:
                 workers.drain(worker.wid)
                 self._send_away(worker.wid)
         self.runs.add(run)
+        if run.excluded != self.runs.excluded:  # a worker was found wrong while it was opened
+            self.runs.reopen(run)
+            return
         log.info("opened", run=run.name, recorded=run.replayed)
         rows = run.tally.rows
         words = f"Run '{run.name}' goes on from row {rows}." if rows else f"Run '{run.name}' begins."
@@ -275,25 +308,29 @@ class JobScheduler:
         """Go on without a run that cannot be carried out; raise every other error."""
         if not isinstance(reason, RunFailed):
             raise reason
+        self._withdraw(reason.run)
         self.runs.add_failure(reason)
         log.error("a run cannot be carried out", run=reason.run, reason=str(reason))
         words = f"Run '{reason.run}' cannot be carried out: {reason}"
         self.events.note("error", words, run=reason.run, object_=self.runs.object_of(reason.run))
 
     def _remove(self, run: ActiveRun, now: float) -> None:
+        self._withdraw(run.name)  # audits, if no trusted worker is left
         self._on_finished(run, now)
         self.runs.remove(run)
         log.info("finished", run=run.name, reason=run.pipeline.finished)
         self.events.note("run", f"Run '{run.name}' is finished: {run.pipeline.finished}.", run=run.name)
 
-    def _withdraw(self, run: str) -> None:
-        for wid, batches in self.dispatcher.withdraw(run).items():
+    def _withdraw(self, run: str, *, audits: bool = True) -> None:
+        for wid, batches in self.dispatcher.withdraw(run, audits=audits).items():
             self._drop(wid, batches)
 
     def _on_join(self, join: Join, answer: "Future[bytes]", now: float) -> None:
         """Answer a worker that asks to join; the first one sets the platform of the rows."""
         platform, is_new = self.workers.platform, self.workers.get(join.wid) is None
         try:
+            if join.wid in self.runs.excluded:
+                raise Refused("it was found wrong, and is excluded from the job")
             for run in self.runs:
                 if lacks_engine(run.plan.spec.engine, join.platform):
                     raise LacksEngine(run.name, run.plan.spec.engine)
@@ -306,11 +343,6 @@ class JobScheduler:
         worker = self.workers.get(join.wid)
         if worker and is_new:
             self.events.note("worker", f"{worker.description} joined.", worker=join.wid)
-            for run in self.runs if not join.rows else ():
-                if run.ref.needs_device:
-                    lacks = f"It has no device for the engine {run.ref.engine}"
-                    words = f"{lacks}, and gets no rows of '{run.name}'."
-                    self.events.note("worker", words, worker=join.wid, run=run.name)
         if worker and worker.is_drained:
             self._send_away(join.wid)
         log.info("worker joined", worker=join.wid[:8], host=join.host, pid=join.pid)
@@ -344,7 +376,7 @@ class JobScheduler:
         if not (self.is_paused or self.is_ending):
             self._lease(now)
         for run in self.runs:
-            if run.is_done:
+            if run.is_done and not self.dispatcher.awaits_audit(run.name):
                 self._remove(run, now)
         if not self.is_ending:
             workers = len(self.workers)
@@ -447,26 +479,3 @@ class JobScheduler:
             **{name: self.dispatcher.counters[name] for name in COUNTERS_SHOWN},
         )
         return self._time_left.note(figures, self.workers.at_work, self.runs.shapes.under_way, now)
-
-
-WORKERS_NAMED = 5  # Most workers that a refusal names
-
-
-def choose_workers(workers: list[Worker], worker: str, host: str, job: str) -> list[Worker]:
-    """Return the workers meant: one by the beginning of its id, or all of a host."""
-    if not (worker or host):
-        raise Refused("it is not said whom to drain: name a worker or a host")
-    if host:
-        named, found = f"on host '{host}'", [one for one in workers if one.join.host == host]
-    else:
-        named, found = f"'{worker}'", [one for one in workers if one.wid.startswith(worker)]
-    if not found:
-        raise Refused(f"job '{job}' has no worker {named}; {_list_workers(workers)}")
-    if worker and len(found) > 1:
-        raise Refused(f"job '{job}' has {len(found)} workers whose ids begin so; {_list_workers(found)}")
-    return found
-
-
-def _list_workers(workers: list[Worker]) -> str:
-    names = [f"{one.wid[:WID_DIGITS]} on {one.join.host}" for one in workers]
-    return f"there are {first_few(names, WORKERS_NAMED)}" if names else "none has joined"

@@ -6,7 +6,6 @@ or stands still (docs/bus.md, rule 8). Time is passed in, in seconds of any stea
 """
 
 import time
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 
@@ -22,12 +21,12 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Channel
 from qdgrasp_protocol.errors import Faulty, InputError, NoReply, RecorderFellBack, Refused, TookOver
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Log, Message, Open, Opened, OpenRun, Platform, Recordable, Recorded
+from qdgrasp_protocol.messages import Log, Message, Open, Opened, OpenRun, Recordable, Recorded
 from qdgrasp_protocol.rows import Rows, RowShape
 
 
-class RowSink(ABC):
-    """Takes the settled rows of a run, in journal order; safe at once without a recorder."""
+class RowSink:
+    """Takes the settled rows of a run, in journal order, and keeps them in memory."""
 
     trouble: str = ""
     """Reason why rows cannot be written now; empty when they can."""
@@ -36,34 +35,39 @@ class RowSink(ABC):
 
     def __init__(self, shape: RowShape) -> None:
         self._shape = shape
+        self._parts: list[Rows] = []
         self.platform: dict[str, str] = {}  # Platform of the rows; empty before a worker came
 
-    @abstractmethod
+    @property
+    def rows(self) -> Rows:
+        """All rows kept, in journal order."""
+        return np.concatenate([self._shape.empty(0), *self._parts])
+
     def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
         """Open the run; returns the epoch to use and the number of recorded rows.
 
         In epoch 0 a new one is issued. `wait` is called between two tries; it may raise to end them.
         """
+        self._parts, self.durable = [], 0
+        return Opened(epoch=1, durable=[0], platform={})
 
-    @abstractmethod
     def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
         """Return recorded rows from number `first` on, some if there are any."""
+        return JournalSlice(first, self._shape.empty(0))
 
-    @abstractmethod
     def push(self, part: JournalSlice) -> None:
         """Take rows that became final."""
+        self._parts.append(part.rows)
+        self.durable += len(part)
 
     def tick(self, now: float) -> None:
         """Send the messages that are due."""
-        return
 
     def on_report(self, message: Recorded, now: float) -> None:
         """Process a recorder's report."""
-        return
 
     def resend(self, now: float) -> None:
         """Send again the rows that are not durable: a recorder appeared."""
-        return
 
     @property
     def is_full(self) -> bool:
@@ -74,32 +78,6 @@ class RowSink(ABC):
     def is_empty(self) -> bool:
         """True if all rows taken are safe."""
         return True
-
-
-class MemorySink(RowSink):
-    """Keeps rows in memory, for a job whose result is not to be recorded."""
-
-    def __init__(self, shape: RowShape) -> None:
-        super().__init__(shape)
-        self._parts: list[Rows] = []
-
-    @property
-    def rows(self) -> Rows:
-        """All rows taken, in journal order."""
-        return np.concatenate([self._shape.empty(0), *self._parts])
-
-    def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
-        """Return that nothing is recorded."""
-        return Opened(epoch=1, durable=[0], platform={})
-
-    def recorded_rows(self, first: int, wait: Callable[[], None]) -> JournalSlice:
-        """Return no rows."""
-        return JournalSlice(first, self._shape.empty(0))
-
-    def push(self, part: JournalSlice) -> None:
-        """Keep the rows."""
-        self._parts.append(part.rows)
-        self.durable += len(part)
 
 
 MESSAGE_ROWS = 1024  # The most rows in one message
@@ -276,13 +254,7 @@ class RecorderClient(Outbox, RowSink):
 
     def tick(self, now: float) -> None:
         """Send the rows that are due."""
-        parts = self.take_due(now)
-        if parts:  # The platform goes before each burst of rows: a message may have been lost
-            self._put(self._keys.outcome(self._epoch), Platform(epoch=self._epoch, platform=self.platform))
-        for part in parts:
-            message = slice_to_message(part, self._run, self._epoch, self._shape)
-            self._put(self._keys.outcome(self._epoch), message)
-
-    def _put(self, key: str, message: Recordable | Platform) -> None:
-        kind = type(message)
-        self._bus.put(key, messages.encode(message), encoding=messages.encoding(kind), channel=Channel.DATA)
+        key, kind = self._keys.outcome(self._epoch), messages.encoding(Recordable)
+        for part in self.take_due(now):
+            message = slice_to_message(part, self._run, self._epoch, self._shape, self.platform)
+            self._bus.put(key, messages.encode(message), encoding=kind, channel=Channel.DATA)

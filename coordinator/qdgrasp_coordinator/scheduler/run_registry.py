@@ -7,7 +7,7 @@ the scheduler's inbox. Shapes that runs wait for are built by workers, some ahea
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -43,15 +43,19 @@ class ActiveRun:
         self.sink = sink
         self.ref = RunRef(plan.run, plan.bundle.digest, plan.prior, plan.spec.engine)
         self.replayed = 0  # Counted evaluations that were in the journal when the run was opened
+        self.excluded: frozenset[str] = frozenset()  # Workers whose rows were taken back then
         self._began = time.monotonic()
 
-    def open(self, epoch: int, wait: Callable[[], None]) -> Opened:
+    def open(self, epoch: int, wait: Callable[[], None], excluded: Collection[str] = ()) -> Opened:
         """Open the run and replay its journal into its search, checked bit for bit.
 
-        In epoch 0 the recorder issues a new one. `wait` is called between two requests; it may raise to end
-        them. Raises InputError if the recorder refuses the run, or its spec does not replay to its journal.
+        In epoch 0 the recorder issues a new one, and it takes the rows of `excluded` workers back. `wait` is
+        called between two requests; it may raise to end them. Raises InputError if the recorder refuses the
+        run, or its spec does not replay to its journal.
         """
-        opened = self.sink.open(self.plan.open_request, epoch, wait)
+        self.excluded = frozenset(excluded)
+        request = structs.replace(self.plan.open_request, excluded=sorted(excluded))
+        opened = self.sink.open(request, epoch, wait)
         position, durable = 0, opened.durable[0]
         while position < durable:
             recorded = self.sink.recorded_rows(position, wait)
@@ -146,6 +150,7 @@ class RunLoader:
         self.run: ActiveRun | None = None
         """The run that is being opened, or was opened last; None before it is made."""
         self.trouble = ""  # Reason why no run can be opened now; empty when one can
+        self.excluded: frozenset[str] = frozenset()  # Workers whose rows are taken back
 
     def begin(self, epoch: int, *, opens: bool, shapes: int, built: tuple[BuildReply, ...]) -> None:
         """Start to take built shapes, to look for more, and to open the next run, in this order.
@@ -185,7 +190,7 @@ class RunLoader:
             return LoadEnded(is_last=True)
         self.run = run = ActiveRun(plan, self._make_sink(plan))
         try:
-            return LoadEnded(run, run.open(epoch, self._wait))
+            return LoadEnded(run, run.open(epoch, self._wait, self.excluded))
         except InputError as error:
             raise RunFailed(plan.run, str(error)) from None
 
@@ -292,6 +297,7 @@ class RunRegistry:
         self._failures: list[RunFailed] = []
         self._budgets = dict(self.extent.budgets)  # of the runs that are neither done nor failed
         self._scenes: dict[str, Bundle] = {}
+        self._finished: list[str] = []  # Runs that were finished here
         self._done = 0
         self._found = self.extent.done
         self._replayed = self.extent.done.evaluations
@@ -361,6 +367,7 @@ class RunRegistry:
     def remove(self, run: ActiveRun) -> None:
         """Remove a run that is done."""
         del self._open[run.name]
+        self._finished.append(run.name)
         self._done += 1
         self._budgets.pop(run.name, None)
         self._found += run.tally.totals
@@ -369,8 +376,25 @@ class RunRegistry:
         """Remove a run, to reopen it from its journal."""
         del self._open[run.name]
         self._replayed -= run.replayed
-        self._queue.put_back(run.name)
+        self._put_back(run.name)
+
+    def _put_back(self, run: str) -> None:
+        self._queue.put_back(run)
         self._was_put_back, self._all_opened, self._runs_wait = True, False, False
+
+    @property
+    def excluded(self) -> frozenset[str]:
+        """Workers that were found wrong."""
+        return self._loader.excluded
+
+    def exclude(self, wid: str) -> None:
+        """Reopen all runs, without the rows of a worker that was found wrong."""
+        self._loader.excluded |= {wid}
+        for run in self:
+            self.reopen(run)
+        for name in self._finished:
+            self._put_back(name)
+        self._finished, self._done, self._found = [], 0, self.extent.done
 
     def close(self) -> None:
         """Stop opening."""

@@ -4,6 +4,7 @@ Rules 1, 3 and 4 of docs/bus.md: credit, join numbers, lost tokens and leases th
 in seconds of any steady clock.
 """
 
+import os
 from collections import OrderedDict, deque
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
@@ -14,7 +15,8 @@ from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, WorkersPage
 from qdgrasp_coordinator.metrics.time_left import WorkersAtWork
 from qdgrasp_coordinator.storage.platforms import admit_platform
 from qdgrasp_protocol.errors import Refused
-from qdgrasp_protocol.messages import VERSION, Heartbeat, Join
+from qdgrasp_protocol.messages import TRUST_VARIABLE, VERSION, Heartbeat, Join, worker_key
+from qdgrasp_protocol.text import first_few
 
 ANSWER_SECONDS, ANSWER_LIMITS = 600.0, 6
 """Time that a worker which shows progress may go without an answer: so many seconds, or lease timeouts."""
@@ -50,6 +52,8 @@ class Worker:
     """True: its token is not gone, but late."""
     is_stuck: bool = False
     """It let a lease pass; until it answers or joins again it gets no work, unless no worker is well."""
+    is_trusted: bool = False
+    """Its owner has the job's secret: it checks the rows of others."""
     is_drained: bool = False
     """It is to leave: it gets no more work."""
     answered: float = -inf
@@ -273,6 +277,8 @@ class WorkerRegistry:
         worker, _ = self._gone.pop(join.wid, (None, now))
         if worker is None:
             worker = Worker(join, self._joins, now, now, now)
+            is_secret = TRUST_VARIABLE in os.environ
+            worker.is_trusted = is_secret and join.key == worker_key(join.key[:16])
         worker.join, worker.order, worker.scenes = join, self._joins, OrderedDict()
         worker.is_drained = join.wid in self._drained
         self._workers[join.wid] = worker
@@ -348,9 +354,13 @@ class WorkerRegistry:
     def on_settled(self, wid: str, rows: int, now: float) -> None:
         """Record that a worker has settled rows."""
         self._settled += rows
-        if (worker := self._workers.get(wid)) is not None:
+        if (worker := self.find(wid)) is not None:
             worker.heard = now
             worker.rows += rows
+
+    def find(self, wid: str) -> Worker | None:
+        """Return a worker that is here or has just gone; None: unknown."""
+        return self._workers.get(wid) or self._gone.get(wid, (None,))[0]
 
     def expects_other(self, tried: Collection[str], now: float) -> bool:
         """Return whether a worker besides these is well, or was lately: it may be back soon."""
@@ -373,9 +383,7 @@ class WorkerRegistry:
 
     def overdue(self, now: float) -> list[LostWorker]:
         """Give up overdue workers: take their batches, and forget those whose token vanished."""
-        if self.lease_timeout.limit < self._limit:
-            self._update_deadline()
-        if now < self._earliest or not self._link_is_up:
+        if now < self.next_deadline():
             return []
         self._update_deadline()
         self._now = now
@@ -442,3 +450,14 @@ def _lose_token(worker: Worker, at: float) -> None:
     """Record that a worker's token vanished, unless it had before."""
     if worker.gone_at is None:
         worker.gone_at = at
+
+
+def choose_workers(workers: list[Worker], worker: str, host: str, job: str) -> list[Worker]:
+    """Return the workers meant: one by the beginning of its id, or all of a host."""
+    found = [one for one in workers if (one.join.host == host if host else one.wid.startswith(worker))]
+    if not found or not (host or (worker and len(found) == 1)):
+        names = [f"{one.wid[:WID_DIGITS]} on {one.join.host}" for one in workers]
+        there = first_few(names, 5) or "none has joined"
+        whom = f"{len(found)} workers '{host or worker}'"
+        raise Refused(f"job '{job}' has {whom}: name one or a host of {there}")
+    return found

@@ -9,12 +9,13 @@ import json
 import sqlite3
 import time
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from itertools import chain, groupby, repeat
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Self
 
 import msgspec
@@ -29,6 +30,7 @@ from qdgrasp_protocol.text import printable
 
 APPLICATION = 0x71646772  # "qdgr"
 FORMAT = 2
+NO_PLATFORM: Mapping[str, str] = MappingProxyType({})
 UNUSABLE = {
     *(sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_NOMEM),
     *(sqlite3.SQLITE_READONLY, sqlite3.SQLITE_LOCKED, sqlite3.SQLITE_IOERR),
@@ -61,6 +63,9 @@ CREATE TABLE makers (
     n INTEGER NOT NULL,
     worker TEXT NOT NULL,      -- its id, new at every start
     host TEXT NOT NULL
+) STRICT;
+CREATE TABLE withdrawn ( -- blocks, as they were, of which rows were taken back: their maker was found wrong
+    first INTEGER, n INTEGER, epoch INTEGER, cpu_seconds REAL, crc INTEGER, rows BLOB
 ) STRICT;
 """
 
@@ -170,7 +175,9 @@ def join_slices(slices: Sequence[JournalSlice]) -> JournalSlice:
     return JournalSlice(first, rows, sum(part.cpu_seconds for part in slices), failures, makers)
 
 
-def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) -> Recordable:
+def slice_to_message(
+    part: JournalSlice, run: str, epoch: int, shape: RowShape, platform: Mapping[str, str] = NO_PLATFORM
+) -> Recordable:
     """Pack a part of a run's journal into a message."""
     return Recordable(
         epoch=epoch,
@@ -181,6 +188,7 @@ def slice_to_message(part: JournalSlice, run: str, epoch: int, shape: RowShape) 
         columns=deflated(pack(part.rows, COLUMNS)),
         cpu_seconds=part.cpu_seconds,
         failures=list(part.failures),
+        platform=dict(platform),
         makers=[(sum(1 for _ in same), maker) for maker, same in groupby(part.makers)],
     )
 

@@ -11,12 +11,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import groupby
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.journal import (
+    NO_PLATFORM,
     Journal,
     JournalIdentity,
     JournalSlice,
@@ -29,9 +29,6 @@ from qdgrasp_protocol.spec import RunSpec, to_toml
 
 TURN = "INSERT OR IGNORE INTO turns VALUES (?, ?, ?)"
 META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
-
-
-NO_PLATFORM: Mapping[str, str] = MappingProxyType({})
 
 
 class JournalWriter(Journal):
@@ -114,6 +111,16 @@ class JournalWriter(Journal):
                 self._database.execute(META, ("platform", json.dumps(dict(platform), sort_keys=True)))
             self._database.execute("UPDATE turns SET last = max(last, ?) WHERE epoch = ?", (now, epoch))
 
+    def withdraw(self, first: int) -> int:
+        """Take back the block of row `first` and all behind it; returns how many rows are left."""
+        with self._transaction():
+            self._database.execute("INSERT INTO withdrawn SELECT * FROM blocks WHERE first + n > ?", (first,))
+            self._database.execute("DELETE FROM blocks WHERE first + n > ?", (first,))
+            left = self.count
+            self._database.execute("DELETE FROM errors WHERE row >= ?", (left,))
+            self._database.execute("DELETE FROM makers WHERE first >= ?", (left,))
+        return left
+
     def set_spec(self, spec: RunSpec) -> None:
         """Replace the spec by the same one with another budget."""
         with self._transaction():
@@ -172,10 +179,6 @@ class OpenJournals:
     def __init__(self, most: int) -> None:
         self._most = most
         self._open: dict[Path, JournalWriter] = {}
-
-    def __len__(self) -> int:
-        """Return the number of open journals."""
-        return len(self._open)
 
     def at(self, folder: Path) -> JournalWriter:
         """The journal in a run's folder, to be used before the next one is asked for."""

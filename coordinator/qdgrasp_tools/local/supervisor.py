@@ -6,6 +6,7 @@ the coordinator in a process of its own, `LocalSession` in this one.
 
 import json
 import os
+import secrets
 import shlex
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
-from qdgrasp_coordinator.scheduler.recorder_client import MemorySink, RowSink
+from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue, SingleRunQueue, plan_genomes
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import ENDPOINT
@@ -38,6 +39,7 @@ from qdgrasp_protocol.errors import (
     check_packages,
 )
 from qdgrasp_protocol.keys import Keys
+from qdgrasp_protocol.messages import TRUST_VARIABLE
 from qdgrasp_protocol.process import OUTSIDE_CODES, ProcessExit, ProcessSupervisor, Stop
 from qdgrasp_protocol.rows import GIVEN, Rows
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
@@ -230,6 +232,8 @@ class Supervisor:
         on), and InputError if a process ended with a sentence that names bad input or environment.
         """
         self._stop.tell(lambda: self._news.put(None))
+        if self._config.workers:  # those of this machine check the rows of others
+            os.environ.setdefault(TRUST_VARIABLE, secrets.token_hex(16))
         with ExitStack() as stack:
             stack.enter_context(self._folder.supervise())
             stack.callback(self._folder.forget_endpoint)
@@ -391,6 +395,6 @@ def score_genomes(
 ) -> Rows:
     """Evaluate genomes (n, d) of the prior `given` in a scene; returns rows in journal order."""
     plan = plan_genomes(spec, prepared, GIVEN, genomes)
-    memory, queue = MemorySink(plan.shape), SingleRunQueue(lambda: plan, len(genomes))
+    memory, queue = RowSink(plan.shape), SingleRunQueue(lambda: plan, len(genomes))
     run_temporary_job(SCORING_JOB, queue, lambda _: memory, config, display, stop)
     return memory.rows

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.scene import pack_scene
-from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_plan import (
     JobExtent,
     ReevaluationPlan,
@@ -96,7 +96,7 @@ class ReevaluationQueue(RunQueue):
     def __init__(self, selections: Sequence[RowSelection]) -> None:
         self._selections = {str(number): one for number, one in enumerate(selections)}
         self._left = deque(self._selections)
-        self._sinks: list[MemorySink] = []
+        self._sinks: list[RowSink] = []
         self.extent = JobExtent.of({name: len(one.numbers) for name, one in self._selections.items()})
         self.different: list[DifferentRow] = []
         self.columns: Counter[str] = Counter()
@@ -116,9 +116,9 @@ class ReevaluationQueue(RunQueue):
         """Have a selection evaluated from its beginning, before any other."""
         self._left.appendleft(run)
 
-    def make_sink(self, plan: RunPlan) -> MemorySink:
+    def make_sink(self, plan: RunPlan) -> RowSink:
         """Make the in-memory sink of a selection."""
-        self._sinks.append(MemorySink(plan.shape))
+        self._sinks.append(RowSink(plan.shape))
         return self._sinks[-1]
 
     def add_row(self, selection: RowSelection, rows: Rows, place: int, now: np.void, reason: str) -> None:

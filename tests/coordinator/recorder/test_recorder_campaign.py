@@ -19,7 +19,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.bus import Query, answer_chunk
 from qdgrasp_protocol.errors import DiskFull
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Opened, Platform
+from qdgrasp_protocol.messages import Opened
 
 ROWS = make_rows(3000)
 
@@ -45,7 +45,6 @@ def send_in_turns(coordinator: FakeCoordinator, runs: str, stop: int, first: int
 def test_a_recorder_that_comes_back_in_the_middle_goes_on_with_every_run(network, coordinator, path) -> None:
     with recording(network, path):
         coordinator.open_runs("a", "b")
-        coordinator.put(Platform(epoch=1, platform={"pybullet": "3.2.7"}))
         send_in_turns(coordinator, "ab", 500)
     with recording(network, path):
         coordinator.meet()

@@ -1,7 +1,6 @@
 """`qdgrasp-recorder` as a process of its own, over zenoh."""
 
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -14,7 +13,7 @@ import pytest
 from tests.common import PATIENCE, own_endpoint
 from tests.fakes.recorder import BUNDLE, JOB, SPEC, FakeCoordinator, make_rows
 
-from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
+from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 
@@ -60,34 +59,3 @@ def test_a_signal_ends_it_with_its_code_and_a_kill_loses_nothing_durable(endpoin
             assert process.wait(PATIENCE) == code
     with folder.journal() as journal:
         assert journal.slice(0, 2000).rows.tobytes() == rows[:1500].tobytes()
-
-
-def test_a_full_disk_is_waited_for_and_then_ends_it_with_a_sentence(endpoint, router, folder) -> None:
-    coordinator, rows = FakeCoordinator(router), make_rows(12_000)
-    with recorder(endpoint, folder.path, "--disk-wait", str(PATIENCE)) as process:
-        coordinator.open()
-        coordinator.send(rows, 0, 1000)
-        coordinator.hears_durable(1000)
-        limit, most = 100_000, resource.prlimit(process.pid, resource.RLIMIT_FSIZE)[1]
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, most))
-        for first in range(1000, 6000, 1000):
-            coordinator.send(rows, first, first + 1000)
-        durable = coordinator.hears(lambda report: bool(report.trouble)).durable
-        assert 1000 <= durable < 6000
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (most, most))
-        coordinator.hears_durable(6000)
-        process.terminate()
-        assert process.wait(PATIENCE) == 143
-    with recorder(endpoint, folder.path, "--disk-wait", "0.5") as process:
-        assert coordinator.open().durable == [6000]
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (limit, most))
-        for first in range(6000, 12_000, 1000):
-            coordinator.send(rows, first, first + 1000)
-        durable = coordinator.hears(lambda report: bool(report.trouble)).durable
-        _, said = process.communicate(timeout=PATIENCE)
-        assert process.returncode == 2
-        assert f"`qdgrasp resume {folder.path}` goes on".encode() in said.splitlines()[-1]
-    with folder.journal() as journal:
-        assert journal.count == durable
-        assert journal.slice(0, 4096).rows.tobytes() == rows[: min(durable, 4096)].tobytes()
-        assert len(journal_digest(journal)) == 64

@@ -14,7 +14,7 @@ from qdgrasp_protocol.bus import Bus, answer_chunk, fetch_bundle
 from qdgrasp_protocol.errors import FolderError, Refused
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
-from qdgrasp_protocol.messages import Failure, Platform, Recordable
+from qdgrasp_protocol.messages import Failure, Recordable
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec, to_toml
 
@@ -93,7 +93,7 @@ class TestRecording:
         wide = RowShape(genes=8, joints=2)
         with network.session() as bus, recording(network, folder.path):
             coordinator.open()
-            for payload, kind in ((b"\x90" * 1000, Recordable), (b"", Platform), (b"\xc1", Recordable)):
+            for payload, kind in ((b"\x90" * 1000, Recordable), (b"", Recordable), (b"\xc1", Recordable)):
                 bus.put(Keys(JOB).outcome(1), payload, encoding=messages.encoding(kind))
             bus.put(Keys(JOB).outcome(1), b"text", encoding="text/plain")
             coordinator.put(slice_to_message(JournalSlice(0, wide.empty(3)), "run", 1, wide))

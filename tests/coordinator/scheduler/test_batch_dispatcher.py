@@ -5,12 +5,10 @@ tests/simulation mixes all of them, and checks that nothing is lost, settled twi
 
 from math import inf
 
-import numpy as np
 import pytest
 from msgspec import structs
 from tests.coordinator.scheduler.leases import (
     EPOCH,
-    SCENE,
     SHAPE,
     Dispatch,
     failures,
@@ -34,7 +32,7 @@ from qdgrasp_coordinator.scheduler.worker_registry import (
 )
 from qdgrasp_protocol.build_messages import Built, MeshFile, ShapeTask
 from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Failure, Work, decode, encode
+from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import Outcome
 
 
@@ -60,13 +58,6 @@ class TestCredit:
         settle(dispatch, first[1], 0.2)
         assert indices(dispatch.leases(0.2)) == [[4, 5]]
 
-    def test_a_batch_holds_rows_of_one_generation_only(self) -> None:
-        dispatch = with_work(n=3)
-        submit(dispatch, 3, generation=1)
-        dispatch.admit(BOB, 1, 4, [], 0.0)
-        found = [(lease.task.rows.number, len(lease.task)) for lease in dispatch.leases(0.0)]
-        assert sorted(found) == [(0, 1), (0, 2), (1, 1), (1, 2)]
-
     def test_rows_of_a_device_go_to_workers_that_have_one_as_many_as_it_takes_at_once(self) -> None:
         dispatch = Dispatch(EPOCH)
         submit(dispatch, 40, run="plain")
@@ -79,14 +70,6 @@ class TestCredit:
         for lease in first:
             settle(dispatch, lease, 0.1)
         assert next(len(lease.task) for lease in dispatch.leases(0.1) if lease.wid == BOB) == 50
-
-    def test_a_lease_travels_as_a_message(self) -> None:
-        lease = with_work().leases(0.0)[1]
-        work = decode(encode(lease.message(EPOCH)), Work)
-        assert (work.epoch, work.run, work.scene, work.prior) == (EPOCH, "run", SCENE, "contact")
-        assert (work.batch, work.attempt, work.join, work.n, work.genes) == (lease.task.id, 1, 1, 2, 2)
-        assert np.frombuffer(work.columns["index"], "<u4").tolist() == [2, 3]
-        assert work.columns["genome"] == genomes(10)[2:4].tobytes()
 
     def test_ids_of_batches_are_never_used_again_also_where_an_epoch_recurs(self) -> None:
         ids = [lease.task.id for _ in range(3) for lease in with_work(n=50, batch_size=1).leases(0.0)]
@@ -127,15 +110,6 @@ class TestTurnsOfRuns:
             opened += scene not in kept
             kept = [scene, *(one for one in kept if one != scene)][:SCENES_KEPT]
         assert 10 < opened < 60
-
-    def test_a_withdrawn_run_is_leased_no_more_and_its_batches_may_be_dropped(self) -> None:
-        dispatch = with_work(n=10)
-        submit(dispatch, 4, "other", scene="2" * 64)
-        mine = [lease for lease in dispatch.leases(0.0) if lease.task.run.run == "run"]
-        assert dispatch.withdraw("run") == {ANN: [lease.task.id for lease in mine]}
-        assert {lease.task.run.run for lease in dispatch.leases(0.1)} == {"other"}
-        assert settle(dispatch, mine[0], 0.2) is None
-        assert dispatch.withdraw("run") == {}
 
 
 class TestSettlement:
@@ -244,15 +218,6 @@ class TestJoins:
         assert dispatch.admit(EVE, 1, 0, ids, 1.4) == ids
         assert dispatch.admit(ANN, 2, 2, ids, 1.5) == []
         assert (dispatch.queued_seconds, dispatch.leases(1.6)) == (0, [])
-
-    @pytest.mark.parametrize("number", [1, 2])
-    def test_an_overtaken_join_changes_nothing(self, number: int) -> None:
-        dispatch = with_work(n=4)
-        dispatch.admit(ANN, 2, 2, [], 0.0)
-        dispatch.leases(0.1)
-        requeued = dispatch.counters["requeued"]
-        assert dispatch.admit(ANN, number, 2, [], 0.2) == []
-        assert (dispatch.queued_seconds, dispatch.counters["requeued"]) == (0, requeued)
 
 
 class TestEndsOfLeases:
@@ -414,13 +379,6 @@ class TestBuilds:
         dispatch = with_builds(shape_task(), **{ANN: CODE})
         (lease,) = dispatch.leases(0.0)
         assert dispatch.settle_build(ANN, built(lease, reason="it is open", is_final=True), 0.0).reason
-
-    def test_builds_that_are_withdrawn_are_dropped_by_their_workers(self) -> None:
-        dispatch = with_builds(shape_task(), shape_task("bowl"), **{ANN: CODE})
-        (lease,) = dispatch.leases(0.0)
-        assert dispatch.withdraw_builds() == {ANN: [lease.task.id]}
-        assert dispatch.leases(0.0) == []
-        assert dispatch.settle_build(ANN, built(lease), 1.0) is None
 
     def test_a_shape_is_no_answer_to_a_batch_nor_rows_to_a_build(self) -> None:
         dispatch = with_builds(shape_task(), **{ANN: CODE, BOB: ""})

@@ -16,7 +16,7 @@ from qdgrasp_coordinator.scheduler.job_scheduler import (
     MOST_STOP_SECONDS,
     JoinRequest,
 )
-from qdgrasp_coordinator.scheduler.recorder_client import MemorySink
+from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, LoadEnded
 from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS
 from qdgrasp_protocol.bus import Sample, TokenChange
@@ -122,7 +122,7 @@ def test_a_worker_without_the_engine_of_a_run_is_refused_and_leaves_when_such_a_
     scheduler = scheduler_of(FakeRunQueue({"run-0": Plan()}), lambda _event: None)
     without = msgspec.structs.replace(join_message(ANN), platform={"mujoco": "4.0.1"})
     scheduler.workers.join(without, 0.0)
-    run = ActiveRun(make_run_plan("run-0", Plan()), MemorySink(SHAPE))
+    run = ActiveRun(make_run_plan("run-0", Plan()), RowSink(SHAPE))
     scheduler.handle(LoadEnded(run, Opened(epoch=1, durable=[0], platform={})), 1.0)
     (worker,) = scheduler.workers
     assert worker.is_drained

@@ -24,6 +24,9 @@ CREATE TABLE makers (
     worker TEXT NOT NULL,      -- its id, new at every start
     host TEXT NOT NULL
 ) STRICT;
+CREATE TABLE withdrawn ( -- blocks, as they were, of which rows were taken back: their maker was found wrong
+    first INTEGER, n INTEGER, epoch INTEGER, cpu_seconds REAL, crc INTEGER, rows BLOB
+) STRICT;
 -- meta: created
 -- meta: package
 -- meta: run

@@ -10,15 +10,19 @@ from queue import Empty, SimpleQueue
 
 import pytest
 from tests.common import PATIENCE
+from tests.fakes.job import FakeRunQueue
 from tests.fakes.messages import ANN, EVE, KEYS_BY_ID, join_message
+from tests.fakes.recorder import JOB
 from tests.tools.security.conftest import certificate_files, encrypted_endpoint
 
-from qdgrasp_coordinator.scheduler.coordinator_service import BusSubscriptions
+from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.job_scheduler import JoinRequest
+from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.errors import EndpointError, NoReply, Refused, SecurityError
 from qdgrasp_protocol.keys import Keys, last_chunk
 from qdgrasp_protocol.messages import Joined
+from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.session import Credentials, Role
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools import security as security_folder
@@ -94,14 +98,14 @@ def test_a_link_ends_with_the_certificate_that_it_was_opened_by(secured, folder,
 
 def test_a_worker_joins_in_its_own_name_alone(secured: str, folder: Path) -> None:
     """Another worker's id is seen in the keys of its work; its key goes to coordinators alone."""
-    proof, inbox, keys = partial(Credentials.find, folder), SimpleQueue(), Keys("mugs")
+    proof, keys = partial(Credentials.find, folder), Keys(JOB)
     stolen, seen, joined = SimpleQueue[str](), SimpleQueue[bytes](), Joined(epoch=1, drop=[])
     over = threading.Event()
 
     def answer_joins() -> None:
         while not over.is_set():
             with suppress(Empty):
-                if isinstance(event := inbox.get(timeout=0.1), JoinRequest):
+                if isinstance(event := service.inbox.get(timeout=0.1), JoinRequest):
                     event.answer.set_result(messages.encode(joined))
 
     def asks(bus: ZenohBus, **values: object) -> Joined:
@@ -119,9 +123,12 @@ def test_a_worker_joins_in_its_own_name_alone(secured: str, folder: Path) -> Non
         )
         enter(ear.subscribe(keys.work("*"), lambda sample: stolen.put(last_chunk(sample.key))))
         enter(ear.answer(keys.join, lambda query: seen.put(query.payload) or b""))
-        subscriptions = enter(BusSubscriptions(coordinator, keys, inbox, lambda _: None, lambda _: {}))
-        subscriptions.open()
-        subscriptions.open_to_workers(1)
+        queue = FakeRunQueue({})
+        service = CoordinatorService(
+            coordinator, Stop(), job=JOB, queue=queue, make_sink=lambda run: RowSink(run.shape)
+        )
+        enter(service.subscriptions)
+        service.open_to_workers(1, "")
         thread = threading.Thread(target=answer_joins)
         stack.callback(thread.join)
         stack.callback(over.set)

@@ -34,7 +34,7 @@ from qdgrasp_protocol.bus import (
 )
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of
-from qdgrasp_protocol.messages import VERSION, Control, Heartbeat, Join, Work, shorten, worker_id
+from qdgrasp_protocol.messages import VERSION, Control, Heartbeat, Join, Work, shorten, worker_id, worker_key
 from qdgrasp_protocol.process import Stop
 from qdgrasp_worker.runtime.background_tasks import (
     BackgroundRequests,
@@ -98,7 +98,7 @@ class WorkerService:
         builds: str = "",
         nice: int = 0,
     ) -> None:
-        self._key = secrets.token_bytes(32)
+        self._key = worker_key(secrets.token_bytes(16))
         self.wid = worker_id(self._key)
         self._bus = bus
         self._stop = stop
