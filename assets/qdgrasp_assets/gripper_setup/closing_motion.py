@@ -267,10 +267,8 @@ PAD = 0.35  # Share of the fingers' reach, from the tips on, over which inner si
 
 
 def grasp_centre(closing: ClosingMotion) -> Floats:
-    """Return the middle of the fingertips of the half closed hand (3,) [m], base link's frame.
-
-    That of a single finger is half-way to where it is closed on the palm.
-    """
+    """Return the middle of the fingertips of the half closed hand (3,) [m], base link's frame."""
+    # that of a single finger is half-way to where it is closed on the palm
     shares = HALF_CLOSED if len(closing.fingers) > 1 else (*HALF_CLOSED, 1.0, 1.0)
     centre: Floats = np.mean([closing.tips(share).mean(axis=0) for share in shares], axis=0)
     return centre

@@ -6,6 +6,7 @@ Files of other formats that people take for a URDF are refused with advice.
 import codecs
 import copy
 import importlib.util
+import os
 import re
 import xml.etree.ElementTree as ET
 from collections import Counter
@@ -350,13 +351,15 @@ def _transform(rotation: Floats, translation: Floats) -> Floats:
 def _mesh_places(urdf: Path, name: str) -> Iterator[Path]:
     """Yield the paths at which a referenced mesh may lie.
 
-    Beside the URDF; for `package://P/...` in a folder P above it or beside one, else in the Python package P.
+    Beside the URDF; for `package://P/...` in a folder P above it, beside one, or of `ROS_PACKAGE_PATH`, else
+    in the Python package P.
     """
     if not name.startswith("package://"):
         yield urdf.parent / name.removeprefix("file://")
         return
     package, _, rest = name.removeprefix("package://").partition("/")
-    for folder in urdf.resolve().parents:
+    named = map(Path, filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)))
+    for folder in (*urdf.resolve().parents, *named):
         yield folder / package / rest
         if folder.name == package:
             yield folder / rest
@@ -398,6 +401,9 @@ def add_file(files: dict[str, bytes], stem: str, suffix: str, content: bytes) ->
 MOST_LINKS = 1000  # Links of a robot
 XACRO_TAG = re.compile(r"\{http[^}]*xacro\}|xacro:")  # Tags that only a xacro file has
 XACRO_SUBSTITUTION = re.compile(r"\$[({]")  # Beginning of an expression that xacro replaces, in attributes
+PREFIX = re.compile(
+    r"<(?!xacro:)([\w.-]+):"
+)  # Of a tag, such as those of Drake, which many files do not declare
 XML_ENCODING = re.compile(rb"""(?:\xef\xbb\xbf)?<\?xml[^>]*?\sencoding=["']([\w.:-]+)""")
 OTHER_FORMATS = {
     "sdf": "an SDF file, which describes worlds for Gazebo; look for the robot's URDF, or export one from it",
@@ -414,6 +420,8 @@ def read_robot_element(path: Path) -> ET.Element:
         raise AssetError(f"No URDF can be read at '{path}': it {why}; name the robot's .urdf file.")
     try:
         text = _decoded(path.read_bytes())
+        undeclared = [f' xmlns:{each}="0"' for each in {*PREFIX.findall(text)} if f"xmlns:{each}" not in text]
+        text = text.replace("<robot", "".join(["<robot", *undeclared]), 1)
         element = ET.fromstring(text)  # noqa: S314  # the user's own file; expat refuses entities that grow
     except OSError as error:
         raise AssetError(f"No URDF can be read at '{path}': {error.strerror or error}.") from None

@@ -204,9 +204,8 @@ def _missing_mesh(hand: Urdf, name: str) -> str:
         return f"{path_problem(place) or 'cannot be read'}: there should be a mesh file at '{place}'"
     package, _, rest = name.removeprefix(PACKAGE).partition("/")
     return (
-        f"is not found: a folder '{package}' with '{rest}' is looked for above the URDF, beside one of the "
-        f"folders above it, and as a Python package; put the ROS package '{package}' there, "
-        "or write the path relative to the URDF"
+        f"is not found: a folder '{package}' with '{rest}' is looked for above the URDF, beside it, in "
+        f"ROS_PACKAGE_PATH and as a Python package; put the ROS package '{package}' there, or the whole path"
     )
 
 

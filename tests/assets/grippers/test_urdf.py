@@ -43,12 +43,22 @@ def test_the_bundle_keeps_all_but_visuals_and_mesh_paths(robot):
 def test_a_file_is_read_in_the_encoding_that_it_declares(claw, name):
     urdf, comment = claw.parent / "claw.urdf", "é".encode(name, "ignore").decode(name)
     before, text = read_urdf(urdf), urdf.read_text().replace("bend", f"bend_{comment}")
+    text = text.replace("</robot>", f"<drake:filter_{comment}/></robot>")  # a prefix that is not declared
     urdf.write_bytes(f"<?xml version='1.0' encoding='{name}'?>\n{text}".encode(name))
     assert [joint.name for joint in read_urdf(urdf).joints] == ["flange", f"bend_{comment}"]
     assert read_urdf(urdf).links == before.links
     claw.write_bytes(claw.read_bytes().replace(b"bend", b'"bend_%b"' % comment.encode()))
     claw.write_text(claw.read_text(), encoding="utf-8-sig")
     assert "finger" in read_gripper_file(claw).finger_links
+
+
+def test_a_mesh_of_a_ros_package_is_found_in_ros_package_path(claw, monkeypatch, tmp_path_factory):
+    robot, folder = read_urdf(claw.parent / "claw.urdf"), tmp_path_factory.mktemp("ros") / "claw_description"
+    (folder / "meshes").mkdir(parents=True)
+    (folder / "meshes" / "palm.stl").write_bytes(b"mesh")
+    for place in (folder.parent, folder):
+        monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{place}")
+        assert robot.mesh("package://claw_description/meshes/palm.stl") == b"mesh"
 
 
 def refused(path, content):
