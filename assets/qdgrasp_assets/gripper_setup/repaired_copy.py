@@ -323,7 +323,7 @@ def centre_base(robot: Urdf, base: str, overrides: DraftOverrides) -> RepairedCo
     if not closing.fingers:
         return None
     axis, centre = draft_axis(closing, overrides)[0], closing_motion.grasp_centre(closing)
-    if closing_motion.axis_offset(closing, axis) <= BESIDE:
+    if closing_motion.axis_offset(closing, axis) <= (BESIDE if len(closing.fingers) > 1 else BESIDE / 5):
         return None
     place = (centre - (centre @ axis) * axis).round(3) + 0.0
     name, words = base + CENTRE, " ".join(f"{value:g}" for value in place)

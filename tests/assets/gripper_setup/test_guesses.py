@@ -11,7 +11,7 @@ from tests.assets.example_hands import INERTIA, JAW_URDF, LINKAGE_URDF
 from qdgrasp_assets.asset_report import examine_hand
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, depth_at
-from qdgrasp_assets.gripper_setup.repaired_copy import repair
+from qdgrasp_assets.gripper_setup.repaired_copy import centre_base, repair
 from qdgrasp_assets.grippers.hand_model import followers, read_hand_model
 from qdgrasp_assets.grippers.urdf import parse_robot, read_urdf
 from qdgrasp_assets.grippers.urdf_checks import hand_faults
@@ -136,6 +136,8 @@ def test_a_jaw_closes_on_a_shape_of_the_palm_also_at_the_end_of_an_arm(
     assert (table.open, -0.15 <= table.closed * sense <= 0) == (widest * sense, True)
     assert found.file.approach_axis == (0.0, 0.0, 1.0)
     assert found.found.faults == ()
+    centred = centre_base(found.postures.body.robot, "palm", DraftOverrides())
+    assert centred.robot.forward({})["palm"][1, 3] < -0.01  # away from the fixed jaw
 
 
 @pytest.mark.parametrize("sense", [1, -1])
