@@ -1,4 +1,4 @@
-"""The optimisation archive against a dictionary of cells, and the parents chosen from it."""
+"""The optimisation archive, and the parents chosen from it."""
 
 import subprocess
 import sys
@@ -6,7 +6,6 @@ import sys
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.search.base import keyed_generator
 from qdgrasp_coordinator.search.paper_searches import (
     ArchiveElites,
@@ -29,46 +28,6 @@ def rows(outcomes: list[Outcome], positions: list[list[float]]) -> Rows:
     made["descriptor"] = positions
     made["genome"][:, 0] = np.arange(len(outcomes)) / 100
     return made
-
-
-def random_rows(seed: int, n: int) -> Rows:
-    generator = np.random.default_rng(seed)
-    outcomes = [Outcome(value) for value in generator.integers(0, 8, n)]
-    made = rows(outcomes, generator.uniform(-0.1, 0.1, (n, 3)).astype(np.float32).tolist())
-    made["genome"] = generator.uniform(-1, 1, (n, 3))
-    return made
-
-
-def model(batches: list[Rows]) -> dict[tuple[int, ...], np.void]:
-    """The same archive as a loop over rows: better replaces, a tie keeps the elder."""
-    low, high = cells(np.stack(BOX))
-    found: dict[tuple[int, ...], np.void] = {}
-    for row in np.concatenate(batches):
-        cell = cells(row["descriptor"][None])[0]
-        if row["outcome"] < Outcome.MISSED or (cell < low).any() or (cell > high).any():
-            continue
-        elder = found.get(tuple(cell))
-        if elder is None or quality(row) > quality(elder):
-            found[tuple(cell)] = row
-    return dict(sorted(found.items()))
-
-
-def quality(row: np.void) -> float:
-    return float(row["fitness"]) if row["outcome"] >= Outcome.DROPPED else -1.0
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_it_holds_what_a_loop_over_rows_would_hold(seed: int) -> None:
-    batches = [random_rows(10 * seed + number, 400) for number in range(4)]
-    archive = EliteArchive(3, BOX)
-    for batch in batches:
-        archive.insert(batch)
-    expected = model(batches)
-    elites = archive.elites
-    assert np.array_equal(elites.genomes, np.stack([row["genome"] for row in expected.values()]))
-    successful = [row["outcome"] >= Outcome.DROPPED for row in expected.values()]
-    assert elites.successful.tolist() == successful
-    assert (len(archive), archive.elites.successful.sum()) == (len(expected), sum(successful))
 
 
 def test_positions_outside_the_box_are_left_out() -> None:

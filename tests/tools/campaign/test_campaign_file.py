@@ -20,7 +20,6 @@ from qdgrasp_protocol.errors import (
 )
 from qdgrasp_protocol.keys import NAME
 from qdgrasp_tools.campaign.campaign_file import (
-    SATURATION,
     campaign_of_meshes,
     is_campaign,
     make_campaign,
@@ -33,9 +32,6 @@ SHIPPED = sorted((Path(__file__).parents[3] / "deploy" / "campaigns").glob("*.to
 CROSS = {"gripper": "panda", "object": ["mug", "bowl"], "method": ["contact_rand", "me_scs"], "seed": [0, 1]}
 
 SHADOW = {"gripper": "shadow", "method": "antipodal_rand"}
-USUAL = {"method": "portfolio", "generations_in_flight": 1}
-BEGUN = {"defaults": USUAL, "cross": [{"gripper": "panda", "object": "mug"}]}
-"""A campaign as version 0.1.0 wrote it into a folder."""
 
 
 def names(source: dict[str, object]) -> list[str]:
@@ -67,19 +63,6 @@ class TestCrossing:
         )
         file.write_text(asked.toml)
         assert read_campaign(file).runs == asked.runs
-
-    def test_a_target_of_grasps_brings_a_cap_and_a_saturation_unless_they_are_said(self, tmp_path) -> None:
-        def ends(defaults: dict[str, object], **goals: float) -> set[tuple[object, ...]]:
-            file = tmp_path / "c.toml"
-            file.write_text(tomli_w.dumps({"defaults": defaults, "cross": [CROSS]}))
-            runs = read_campaign(file, goals=goals).runs.values()
-            return {(spec.grasps, spec.evaluations, spec.saturation) for spec in runs}
-
-        assert ends({}) == {(None, 10_000, None)}
-        assert ends({}, grasps=2000) == {(2000, 20_000, SATURATION)}
-        assert ends({"evaluations": 7000, "saturation": 0.3}, grasps=2000) == {(2000, 7000, 0.3)}
-        assert ends({"evaluations": 7000}, grasps=20, evaluations=50, saturation=0) == {(20, 50, 0)}
-        assert ends({"grasps": 20}) == {(20, 10_000, None)}
 
     def test_a_run_with_two_budgets_is_refused(self) -> None:
         with pytest.raises(InputError, match=r"'panda-mug-contact_rand-s0' twice, with different values"):
@@ -178,6 +161,7 @@ class TestRefusals:
             ({"cross": []}, InputError, "asks for no run"),
             ({"cross": [CROSS], "defualts": {}}, InputError, "defualts"),
             ({"cross": [CROSS], "defaults": 3}, InputError, "defaults"),
+            ({"cross": [CROSS], "objects": {"mug": {"weight": 0.3}}}, InputError, "weight"),
             ({"cross": [CROSS], "prefer_scans": "yes"}, InputError, "prefer_scans"),
             ({"cross": [CROSS, CROSS | {"object": []}]}, ImpossibleValue, "object must be one value, or"),
             ({"cross": [CROSS | {"sede": 3}]}, UnknownKey, "sede"),
@@ -268,8 +252,3 @@ def test_what_is_known_of_an_object_is_no_part_of_a_runs_name_and_comes_before_t
         "panda-mug-portfolio-s0": (0.3, 0.7),
         "panda-bowl-portfolio-s0-mass0_1": (0.1, None),
     }
-
-
-def test_what_no_object_has_is_refused():
-    with pytest.raises(InputError, match="weight"):
-        make_campaign(cross(mug={"weight": 0.3}), "c.toml")

@@ -8,10 +8,9 @@ from tests.coordinator.recorded_campaigns import ObjectRun, listed
 
 from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
-from qdgrasp_protocol.spec import ObjectRecord, RunSpec
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.object_library import SkippedObject
 from qdgrasp_tools.campaign.summaries import (
-    select_objects,
     with_events,
 )
 
@@ -107,35 +106,3 @@ def test_an_object_whose_shape_is_built_is_building_until_a_run_begins() -> None
     before = listed([waiting("a"), run("b", is_done=False)], [SkippedObject("a2", "a2", "torn")])
     states = [each.state for each in with_events(before, [], ["a", "b", "a2"])]
     assert states == ["building", "running", "skipped"]
-
-
-OBJECTS = [
-    *listed(
-        [
-            *(run(name) for name in ("part_2", "part_10", "Part_1")),
-            run("x", totals=OVERLAPPING, spec={"about": ObjectRecord(id="x", category="Mug")}),
-            waiting("later", hand="allegro"),
-        ],
-        [SkippedObject("torn", "torn.stl", "it is not closed; --remesh")],
-    )
-]
-
-
-def names(listings: list[ObjectListing]) -> list[str]:
-    return [each.object for each in listings]
-
-
-@pytest.mark.parametrize(
-    ("search", "found"),
-    [
-        ("", ["part_2", "part_10", "Part_1", "x", "later", "torn"]),
-        ("PART", ["part_2", "part_10", "Part_1"]),
-        ("mug", ["x"]),
-        ("allegro", ["later"]),
-        ("skipped remesh", ["torn"]),
-        ("overlaps no grasp", ["x"]),
-        ("part mug", []),
-    ],
-)
-def test_all_words_of_a_search_are_to_be_found(search: str, found: list[str]) -> None:
-    assert names(select_objects(OBJECTS, search)) == found

@@ -1,41 +1,15 @@
-"""`qdgrasp evaluate` and `import`: nothing is replaced unasked."""
+"""`qdgrasp import` writes poses and the command that scores them."""
 
 from pathlib import Path
 
 import numpy as np
-import pytest
 import trimesh
 from tests.tools.export.foreign_files import ISAAC, POSITION, acronym, matrix
 from typer.testing import CliRunner, Result
 
 from qdgrasp_coordinator.search.fixed_poses import read_poses
-from qdgrasp_protocol.errors import FolderError, InputError
 from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.export.importer import object_frame
-
-
-def refusal(*arguments: object) -> InputError:
-    asked = ("evaluate", "--gripper", "panda", "--object", "mug", *map(str, arguments))
-    error = CliRunner().invoke(app, asked).exception
-    assert isinstance(error, InputError)
-    return error
-
-
-@pytest.fixture
-def poses(tmp_path: Path) -> Path:
-    turns = np.array([[0.0, 0.0, 0.0, 1.0]])
-    np.savez(tmp_path / "poses.npz", base_position=np.zeros((1, 3)), base_quaternion_xyzw=turns)
-    return tmp_path / "poses.npz"
-
-
-def test_poses_are_not_replaced_by_their_scores_even_by_force(poses: Path) -> None:
-    before = poses.read_bytes()
-    (poses.parent / "again.npz").hardlink_to(poses)
-    for out in (poses, poses.parent / "again.npz"):
-        error = refusal("--poses", poses, "--out", out, "--force")
-        assert isinstance(error, FolderError)
-        assert "is a file that is read here" in str(error)
-    assert poses.read_bytes() == before
 
 
 def command(*arguments: object) -> Result:

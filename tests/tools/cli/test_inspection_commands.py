@@ -62,10 +62,6 @@ def test_a_picture_that_cannot_be_drawn_is_refused(path, tmp_path, name, flags, 
     assert not words.endswith(".") or said.endswith(words)
 
 
-def refusal(*arguments: object) -> BaseException | None:
-    return CliRunner().invoke(app, ["verify", *map(str, arguments)]).exception
-
-
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A campaign over ten objects, eight of which have begun, with two hands."""

@@ -1,7 +1,5 @@
 """Refusals of every command for a path that it cannot read or write."""
 
-import os
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -33,12 +31,6 @@ FOLDERS = {
     "security init": "security init OUT",
 }
 """Commands that write a folder."""
-KINDS: dict[str, Callable[[Path], object]] = {
-    "a folder": Path.mkdir,
-    "a link": lambda path: path.symlink_to("jaw.urdf"),
-    "a device or pipe": os.mkfifo,
-}
-"""Things that may be in the place of a file, and functions that make them."""
 CAMPAIGN = '[[cross]]\ngripper = "panda"\nobject = "mug"\nmethod = "me_rand"\n'
 
 
@@ -91,19 +83,6 @@ def test_a_file_that_is_there_stays(command: str) -> None:
 
 
 @pytest.mark.usefixtures("home")
-@each({name: FILES[name] for name in ("evaluate", "export", "import")})
-def test_a_file_takes_the_place_of_no_part_of_a_run(command: str) -> None:
-    journal = Path("run/run.sqlite").read_bytes()
-    force = " --force"
-    for name in ("run.sqlite", "spec.toml", "job.json"):
-        out = command.replace("OUT.npz", f"run/{name}").replace("OUT.csv", f"run/{name}")
-        assert refused(out + force) == (
-            f"run/{name} is part of a run or of a campaign; name another path with --out."
-        )
-    assert Path("run/run.sqlite").read_bytes() == journal
-
-
-@pytest.mark.usefixtures("home")
 @pytest.mark.parametrize(
     ("command", "read"),
     [
@@ -121,18 +100,6 @@ def test_a_file_takes_the_place_of_none_that_is_read(command: str, read: str) ->
     before = Path(read).read_bytes()
     assert refused(command, read) == (f"{read} is a file that is read here; name another path with --out.")
     assert Path(read).read_bytes() == before
-
-
-@pytest.mark.usefixtures("home")
-@each(FILES)
-def test_a_file_takes_the_place_of_no_folder_link_or_pipe(command: str) -> None:
-    out, has_force = written(command), flag(command) != "--repaired"
-    for what, make in KINDS.items():
-        make(out)
-        words = f"{out} is {what}, where a file is to be written; name another path with {flag(command)}."
-        assert {refused(command), refused(command + " --force" * has_force)} == {words}
-        assert out.is_fifo() or out.is_symlink() or out.is_dir()
-        out.rmdir() if what == "a folder" else out.unlink()
 
 
 @pytest.mark.usefixtures("home")

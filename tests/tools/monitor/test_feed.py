@@ -57,12 +57,6 @@ def is_whole(views: list[JobView]) -> bool:
     return bool(views) and len(views[0].runs) == 2 and len(views[0].workers) == 9
 
 
-def test_a_feed_that_begins_late_knows_all_that_there_is(network: MemoryNetwork) -> None:
-    with coordinator(network.session()), Feed(network.session()) as feed:
-        (view,) = until(feed, is_whole)
-    assert (view.state, view.meta.epoch, len(view.runs), len(view.workers)) == ("running", 2, 2, 9)
-
-
 def test_a_feed_hears_what_is_said_and_hears_it_no_more_when_it_is_over(network: MemoryNetwork) -> None:
     with network.session() as bus, coordinator(bus), Feed(network.session()) as feed:
         until(feed, is_whole)

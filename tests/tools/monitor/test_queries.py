@@ -10,7 +10,7 @@ from tests.coordinator.recorded_campaigns import BUDGET, record_campaign, rows_o
 from tests.coordinator.recorded_runs import random_rows, record_spec, spoil_block, success_mask, write_journal
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make_rows, recording
 
-from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListings, from_json
+from qdgrasp_coordinator.metrics.job_status import RunListings, from_json
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.bus import fetch_bundle
@@ -173,15 +173,3 @@ def test_without_the_file_of_the_campaign_objects_are_those_of_its_runs(campaign
     JobFolder(campaign).run_paths[0].joinpath("spec.toml").write_text("no spec")
     (found,) = RunIndex(campaign).objects(0).objects
     assert found.runs == 1
-
-
-def test_objects_are_told_page_by_page(network: MemoryNetwork, library: JobFolder, monkeypatch) -> None:
-    monkeypatch.setattr(queries, "OBJECTS_PER_PAGE", 3)
-    keys = Keys("parts")
-    with queries.QueryServer(network.session(), "parts", library.path):
-        asked = [network.session().ask(keys.objects, parameters=f"from={first}") for first in (0, 3, 6)]
-        pages = [from_json(answer, ObjectListings) for answer in asked]
-        with pytest.raises(Refused, match="is no number: from"):
-            network.session().ask(keys.objects, parameters="from=x")
-    assert [len(page.objects) for page in pages] == [3, 3, 1]
-    assert [page.next for page in pages] == [3, 6, 0]

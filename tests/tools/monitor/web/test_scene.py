@@ -247,17 +247,6 @@ def test_a_box_shows_what_is_in_it(filtered: Page) -> None:
     expect(filtered.locator("#scene-filters summary")).to_have_text("Filters 2 in use")
 
 
-def test_show_all_takes_every_filter_back(filtered: Page) -> None:
-    filtered.get_by_label("Synergy").select_option("pinch")
-    filtered.get_by_label("x lowest").fill("0")
-    filtered.get_by_label("eta at least").fill("0.3")
-    filtered.get_by_role("button", name="Show all").click()
-    expect(filtered.locator("#scene-words")).to_have_text("5 cells of 1 cm")
-    expect(filtered.get_by_label("Synergy")).to_have_value("")
-    expect(filtered.get_by_label("x lowest")).to_have_value("")
-    expect(filtered.get_by_role("button", name="Show all")).to_be_disabled()
-
-
 CLOSED = finds(
     [2, 3, 5, 8, 9],
     [(0, -9, 3), (0, -9, 3), (9, 0, 3), (-9, 0, 3), (0, 9, 3)],

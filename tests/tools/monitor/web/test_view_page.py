@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from tests import browser
-from tests.browser import PHONE, expect
+from tests.browser import expect
 from tests.coordinator.recorded_runs import random_rows, record, success_mask
 from tests.coordinator.scenes import made_scene
 from tests.tools.monitor.web.conftest import serving_routes
@@ -54,10 +54,3 @@ def test_the_first_run_is_shown_and_another_may_be_chosen(look: Look, place: str
     assert page.url.endswith("#job=mug&run=run")
     page.reload()
     expect(page.locator("#name")).to_have_text("mug")
-
-
-def test_on_a_phone_nothing_is_wider_than_the_window(look: Look, place: str) -> None:
-    page = look(place, phone=True)
-    page.locator("#scene").press("n")
-    page.locator("#grasp h4").wait_for()
-    assert page.evaluate("() => document.documentElement.scrollWidth") == PHONE["width"]
