@@ -208,7 +208,9 @@ def is_robot_file(name: str) -> bool:
 
 def scene_words(spec: RunSpec) -> str:
     """The hand, the object and the engines of a spec, for a person."""
-    return f"{spec.gripper} and {spec.object} in {' and '.join(engine_names(spec.engine))}"
+    named = f"{spec.gripper} and {spec.object} in {' and '.join(engine_names(spec.engine))}"
+    is_slow = spec.engine is None and spec.protocol != "released"
+    return named + (" (--engine mujoco takes a third of the CPU time)" if is_slow else "")
 
 
 def worker_count(workers: int | None, *engines: str | None) -> int:
