@@ -121,8 +121,4 @@ def test_toml_without_end_is_refused_in_one_sentence(text: str) -> None:
 
 
 def test_every_key_that_a_person_types_has_a_text_and_its_values() -> None:
-    texts = spec.key_texts()
-    assert texts.keys() == set(RunSpec.__struct_fields__) - set(spec.UNTYPED_KEYS)
-    assert texts["population"] == (
-        "Genomes in a generation (the paper's mu = lambda). [a whole number at least 1 and at most 4096]"
-    )
+    assert spec.key_texts().keys() == set(RunSpec.__struct_fields__) - set(spec.UNTYPED_KEYS)

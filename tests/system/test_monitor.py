@@ -3,18 +3,15 @@
 import fcntl
 import os
 import pty
-import select
 import signal
 import struct
 import subprocess
 import sys
 import termios
-import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from queue import SimpleQueue
 
-import pytest
 from tests.common import PATIENCE, own_endpoint, wait_for
 from tests.system.commands import (
     MONITOR,
@@ -83,16 +80,12 @@ def _of_no_size(environment: Mapping[str, str]) -> dict[str, str]:
     return {name: value for name, value in environment.items() if name not in ("COLUMNS", "LINES")}
 
 
-class Terminal:
-    """The monitor on a terminal of 80 columns and 24 lines."""
-
-    def __init__(self, qdgrasp: Commands, *arguments: str) -> None:
-        self._near, far = pty.openpty()
-        fcntl.ioctl(self._near, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-        self.before = termios.tcgetattr(self._near)
-        self.seen = b""
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", MONITOR, *arguments],
+def test_ctrl_c_ends_it_and_leaves_the_terminal_as_it_was(qdgrasp: Commands) -> None:
+    endpoint, (near, far) = own_endpoint(), pty.openpty()
+    fcntl.ioctl(near, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    with ZenohBus.router(endpoint):
+        process = subprocess.Popen(
+            [sys.executable, "-m", MONITOR, "--connect", endpoint],
             cwd=qdgrasp.home,
             env=_of_no_size(os.environ) | {"TERM": "xterm-256color", "PYTHONIOENCODING": "utf-8"},
             stdin=far,
@@ -101,52 +94,14 @@ class Terminal:
             start_new_session=True,
         )
         os.close(far)
-
-    def shows(self, words: str) -> None:
-        """Wait for words that are drawn from now on."""
-        self.seen, deadline = b"", time.monotonic() + PATIENCE
-        while words.encode() not in self.seen:
-            assert time.monotonic() < deadline, f"it never shows {words!r}: {self.seen[-3000:]!r}"
-            assert self.read(0.5), f"it ended and never showed {words!r}: {self.seen[-3000:]!r}"
-
-    def read(self, seconds: float) -> bool:
-        """Take what it draws; False: it has ended, and all of it was taken."""
-        if select.select([self._near], [], [], seconds)[0]:
-            try:
-                self.seen += os.read(self._near, 1 << 16)
-            except OSError:
-                return False
-        return True
-
-    def ends(self) -> int:
-        """Read what it draws until its end; gives its exit code."""
-        deadline = time.monotonic() + PATIENCE
-        while self.read(0.5):
-            assert time.monotonic() < deadline
-        return self.process.wait(PATIENCE)
-
-    def close(self) -> None:
-        if self.process.poll() is None:
-            self.process.kill()
-        os.close(self._near)
-
-
-@pytest.fixture
-def terminal(qdgrasp: Commands) -> Iterator[tuple[Terminal, str]]:
-    """A monitor that shows that there is no job."""
-    endpoint = own_endpoint()
-    with ZenohBus.router(endpoint):
-        shown = Terminal(qdgrasp, "--connect", endpoint)
-        try:
-            shown.shows("No job is at")
-            yield shown, endpoint
-        finally:
-            shown.close()
-
-
-def test_ctrl_c_ends_it_and_leaves_the_terminal_as_it_was(terminal: tuple[Terminal, str]) -> None:
-    shown, _ = terminal
-    shown.process.send_signal(signal.SIGINT)
-    assert shown.ends() == 130
-    assert b"\x1b[?1049l" in shown.seen  # back from the other screen
-    assert b"\x1b[?25h" in shown.seen  # with a cursor
+        seen = b""
+        while b"No job is at" not in seen:
+            seen += os.read(near, 1 << 16)
+        process.send_signal(signal.SIGINT)
+        with suppress(OSError):  # it has closed its end
+            while True:
+                seen += os.read(near, 1 << 16)
+        assert process.wait(PATIENCE) == 130
+    os.close(near)
+    assert b"\x1b[?1049l" in seen  # back from the other screen
+    assert b"\x1b[?25h" in seen  # with a cursor

@@ -64,11 +64,6 @@ def test_steps_are_those_of_closing_and_of_the_shakes_until_the_object_is_lost(r
     assert all(CLOSING_STEPS < n < CLOSING_STEPS + shakes for n in steps[Outcome.DROPPED])
 
 
-def test_a_stored_pose_evaluated_as_given_finds_the_same(cube, rows):
-    again = evaluated(cube, "given", rows["base_to_object"])
-    assert results(again, "surface_point", "nu") == results(rows, "surface_point", "nu")
-
-
 @pytest.mark.parametrize("poison", [0, 5, N - 1])
 def test_a_row_that_fails_in_the_simulator_is_named_and_the_others_do_not_notice(
     cube, genomes, rows, poison, monkeypatch

@@ -155,7 +155,7 @@ def hollow(radius: float) -> trimesh.Trimesh:
 
 
 def link(x: float, turn: np.ndarray) -> trimesh.Trimesh:
-    return trimesh.creation.torus(0.03, 0.005).apply_transform(turn).apply_translation((x, 0, 0))
+    return trimesh.creation.torus(0.03, 0.005, 24, 12).apply_transform(turn).apply_translation((x, 0, 0))
 
 
 def air(*bodies: trimesh.Trimesh) -> float:

@@ -11,12 +11,11 @@ from qdgrasp_coordinator.storage.journal import JournalSlice, slice_to_message
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, answer_chunk, fetch_bundle
-from qdgrasp_protocol.errors import FolderError, Refused
+from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Failure, Recordable
 from qdgrasp_protocol.rows import RowShape
-from qdgrasp_protocol.spec import RunSpec, to_toml
 
 
 @pytest.fixture
@@ -30,22 +29,6 @@ def show_scene(bus: Bus) -> None:
 
 
 class TestOpening:
-    def test_another_spec_or_scene_or_job_is_refused_with_the_difference(self, network, coordinator, folder):
-        other = RunSpec(gripper="panda", object="mug", seed=1, mutation_sigma=0.2)
-        for opened_before in (False, True):
-            with recording(network, folder.path):
-                if opened_before:
-                    coordinator.open()
-                with pytest.raises(Refused, match="another spec: seed, mutation_sigma differ"):
-                    coordinator.open(to_toml(other))
-                with pytest.raises(Refused, match="run of scene"):
-                    coordinator.open(scene="0" * 64)
-                with pytest.raises(Refused, match="runs of job 'mugs', not of 'cubes'"):
-                    coordinator.open(job="cubes")
-                with pytest.raises(Refused, match="unknown key 'sed'"):
-                    coordinator.open("gripper = 'a'\nobject = 'b'\nsed = 1")
-        assert folder.job.epoch == 1
-
     def test_a_coordinator_that_is_slow_to_show_its_scene_keeps_no_row_waiting_and_no_recorder_from_ending(
         self,
         network: MemoryNetwork,

@@ -97,8 +97,6 @@ one = {"solution_dim": 1, "dims": [2], "ranges": [(0, 1)]}
 batch = np.arange(4.0)[:, None], [1.0, 2.0, 2.0, 0.0], [[0.1], [0.1], [0.1], [0.9]]
 grid = found(**one)
 grid.add(*batch)
-import ribs
-assert ribs.archives.GridArchive is found
 assert grid.data("solution").ravel().tolist() == [1.0, 3.0]  # of equal ones the first
 """
 

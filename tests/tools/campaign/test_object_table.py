@@ -9,10 +9,6 @@ from tests.coordinator.recorded_campaigns import ObjectRun, listed
 from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.campaign.object_library import SkippedObject
-from qdgrasp_tools.campaign.summaries import (
-    with_events,
-)
 
 BUDGET = 4000
 
@@ -56,19 +52,6 @@ def test_the_runs_of_an_object_are_added_up() -> None:
     assert found.names == ["panda-mug-s0", "allegro-mug-s0", "panda-mug-s1"]
 
 
-@pytest.mark.parametrize(
-    ("runs", "state"),
-    [
-        ([waiting()], "waiting"),
-        ([waiting(), run(seed=1, totals=NO_TOTALS, is_done=False)], "running"),
-        ([run(), waiting(seed=1)], "running"),
-        ([run(), run(seed=1)], "done"),
-    ],
-)
-def test_the_state_of_an_object_follows_from_its_runs(runs: list[ObjectRun], state: str) -> None:
-    assert one(*runs).state == state
-
-
 OVERLAPPING = totals(simulated=100, overlaps=3900)
 NO_POSES = totals(simulated=0, dead_ends=4000)
 UNTOUCHED = totals(successes=3, grasps=3, cells=2)
@@ -100,9 +83,3 @@ def test_an_object_is_judged_by_its_finished_runs_alone() -> None:
     begun = run("x", seed=1, totals=totals(evaluations=10), is_done=False)
     assert not listed([run("a"), run("b"), run("x"), begun, waiting("x", seed=2)])[2].little
     assert not listed([run("a"), run("x", totals=OVERLAPPING, is_done=False)])[1].little
-
-
-def test_an_object_whose_shape_is_built_is_building_until_a_run_begins() -> None:
-    before = listed([waiting("a"), run("b", is_done=False)], [SkippedObject("a2", "a2", "torn")])
-    states = [each.state for each in with_events(before, [], ["a", "b", "a2"])]
-    assert states == ["building", "running", "skipped"]

@@ -19,8 +19,6 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS
-from qdgrasp_coordinator.search.registry import check_spec
-from qdgrasp_coordinator.search.source_runs import rerank_spec
 from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -62,18 +60,6 @@ def test_a_run_without_a_grasp_has_nothing_to_score_again(source: RunFolder, tmp
     assert isinstance(refused, InputError)
     assert "has found no grasp (fitness 1 or more)" in str(refused)
     assert not (tmp_path / "again").exists()
-
-
-def test_the_spec_keeps_the_scene_and_takes_each_pose_once(source: RunFolder) -> None:
-    with source.journal() as journal:
-        chosen: Rows = journal.slice(0, 3).rows
-    spec = rerank_spec(source, chosen, None, protocol="robust", trials=10)
-    check_spec(spec)
-    assert spec.grasps is None
-    assert (spec.gripper, spec.object, spec.mass, spec.seed) == ("panda", "tennis_ball", 0.07, 5)
-    assert (spec.method, spec.protocol, spec.evaluations, spec.population) == ("given", "robust", 3, 3)
-    assert spec.trial_count == 10
-    assert spec.poses == ((0, 0, 0, 0, 0, 0, 1),) * 3
 
 
 @pytest.mark.parametrize(("hand", "seats"), [("panda", (0,)), ("allegro", None)])

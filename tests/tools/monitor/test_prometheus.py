@@ -1,7 +1,5 @@
 """Metrics of a monitor for Prometheus."""
 
-import re
-
 import pytest
 from msgspec import structs
 from prometheus_client.metrics_core import Metric
@@ -55,17 +53,6 @@ def test_of_all_states_a_job_is_in_one(job: JobView) -> None:
         told = samples(text(structs.replace(job, state=state)))
         held = {key[-1]: value for key, value in told.items() if key[0] == "qdgrasp_job_state"}
         assert held == {each: float(each == state) for each in STATES}
-
-
-def test_names_and_types_follow_the_conventions(job: JobView) -> None:
-    for line in text(job).splitlines():
-        assert re.fullmatch(r"(# (HELP|TYPE) )?qdgrasp_[a-z_]+[ {].+", line)
-    for name, one in read(text(job)).items():
-        assert one.type in ("counter", "gauge")
-        assert len(one.documentation.split()) >= 2
-        assert {sample.name for sample in one.samples} <= {f"{name}_total" if one.type == "counter" else name}
-        labels = {label for sample in one.samples for label in sample.labels}
-        assert labels.isdisjoint({"le", "quantile", "instance"})
 
 
 def test_the_number_of_series_is_bounded_and_all_workers_are_counted(job: JobView) -> None:

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.recorded_runs import random_rows, record, success_mask
-from tests.tools.report.test_row_report import run_of_synergies
 
-from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
@@ -105,15 +103,6 @@ def test_all_successes_come_in_the_order_of_the_journal(records: Records) -> Non
     assert np.array_equal(page.found["outcome"], expected["outcome"])
     assert np.array_equal(page.found["base_to_object"], expected["base_to_object"])
     assert np.array_equal(ROWS[page.found["number"]]["joints"], page.found["joints"])
-
-
-def test_the_synergy_of_each_success_comes_along(tmp_path: Path, network: MemoryNetwork) -> None:
-    folder, rows = run_of_synergies(tmp_path / "mug")
-    with network.session() as bus, network.session() as ours, QueryServer(bus, "mug", folder.path):
-        both = FolderRecords(FolderIndex([folder.path])), BusRecords(ours)
-        told = [records.page("mug", "run", 0).found["synergy"].tolist() for records in both]
-    assert told[0] == told[1] == GenomeReader.of(folder.scene(), "spherical").labels(rows["genome"]).tolist()
-    assert len(set(told[0])) == 3
 
 
 @pytest.fixture

@@ -122,22 +122,14 @@ def test_the_platform_changes_with_the_evaluators_file(tmp_path: Path) -> None:
     assert {name for name in before if before[name] != after[name]} == {"evaluator_file"}
 
 
-def test_a_worker_starts_the_simulator_that_it_is_told_to() -> None:
-    usual = simulator_supervisor.SIMULATOR_COMMAND
-    assert simulator_supervisor.simulator_command(None) == usual
-    assert simulator_supervisor.simulator_command(None, Device("cuda", 64)) == [*usual, "cuda", "64"]
-    with pytest.raises(InputError, match="leave out --device or --evaluator"):
-        simulator_supervisor.simulator_command(f"{HERE}:Height", Device("cuda", 64))
-    assert simulator_supervisor.simulator_command(f"{HERE}:Height")[-2:] == [
-        "qdgrasp_worker.runtime.custom_evaluator",
-        f"{HERE}:Height",
-    ]
-
-
 @pytest.mark.parametrize(
-    ("name", "words"),
-    [("Height", "named FILE.py:NAME or MODULE:NAME, got 'Height'"), ("absent.py:Height", "There is no file")],
+    ("name", "device", "words"),
+    [
+        ("Height", None, "named FILE.py:NAME or MODULE:NAME, got 'Height'"),
+        ("absent.py:Height", None, "There is no file"),
+        (f"{HERE}:Height", Device("cuda", 64), "leave out --device or --evaluator"),
+    ],
 )
-def test_a_worker_says_at_once_that_an_evaluator_cannot_be(name: str, words: str) -> None:
+def test_a_worker_says_at_once_that_an_evaluator_cannot_be(name, device, words) -> None:
     with pytest.raises(InputError, match=words):
-        simulator_supervisor.simulator_command(name)
+        simulator_supervisor.simulator_command(name, device)
