@@ -26,7 +26,7 @@ SHARPNESS = 24
 LEAST_SHARE = 0.02
 GAINS_KEPT, COSTS_KEPT = 0.9, 0.98  # Of the past after 50 genomes of an emitter
 TRUSTED = 20  # Genomes of an emitter before its rate is believed
-UNTRUSTED = 0.1  # Its share until then, of the best one's
+UNTRUSTED = 0.3  # Its share until then, of the best one's
 ROW_STEPS = 30  # Cost of a row besides its steps of physics: what a pose that overlaps takes
 
 
