@@ -145,7 +145,7 @@ def test_rows_as_given_poses_decode_to_the_very_same_grasps(hand: str, prior: st
 
 
 def test_scores_of_poses_in_trials_tell_their_eta() -> None:
-    rows = RowShape(genes=7, joints=2).empty(6)
+    rows = RowShape(genes=7, joints=2, contact_slots=1).empty(6)
     rows["index"], rows["trial"] = [0, 1, 2, 1, 1, 1], [0, 0, 0, 1, 2, 3]
     nominal = [Outcome.MISSED, Outcome.HELD, Outcome.OVERLAP]
     rows["outcome"] = [*nominal, Outcome.HELD, Outcome.SHAKEN, Outcome.ERROR]
