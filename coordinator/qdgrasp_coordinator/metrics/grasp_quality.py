@@ -30,7 +30,8 @@ def settled_mask(rows: Rows) -> NDArray[np.bool_]:
 def settled_poses(rows: Rows) -> Floats:
     """(n, 7): the hand's base link after closing, CoM frame; as commanded where unknown."""
     poses, known = rows["base_to_object"].astype(np.float64), settled_mask(rows)
-    poses[known] = rows["settled"][known]
+    if known.any():  # rows without contacts have no room for it
+        poses[known] = rows["settled"][known]
     return poses
 
 

@@ -56,6 +56,7 @@ def test_its_script_lifts_most_grasps_of_a_jaw_in_plain_mujoco(mug, tmp_path, fr
     assert lifted(out, home, 3) == (0, 3)
 
 
+@pytest.mark.parametrize("evaluated_run", ["allegro", "barrett"], indirect=True)
 def test_fingers_of_other_hands_close_in_its_script_as_they_did(evaluated_run, tmp_path) -> None:
     export_grasps(evaluated_run, tmp_path / "bundle", "bundle", GraspChoice(min_fitness=2, top=10))
     up, tried = lifted(tmp_path / "bundle", tmp_path, 10)

@@ -40,6 +40,7 @@ def test_acronym_names_a_mesh_that_lies_beside_it_and_has_failures(runs, tmp_pat
         assert set(read.quality) == {0, 1}
 
 
+@pytest.mark.parametrize("evaluated_run", ["panda", "allegro"], indirect=True)
 def test_a_jaw_has_two_contacts_across_it_and_another_hand_none(evaluated_run, tmp_path: Path) -> None:
     export_grasps(evaluated_run, tmp_path / "one.h5", "acronym", negatives=0)
     export_grasps(evaluated_run, tmp_path / "many", "graspgen", negatives=0)

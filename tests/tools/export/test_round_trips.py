@@ -63,11 +63,10 @@ def test_poses_that_came_through_parquet_evaluate_to_the_same_bits(evaluated_run
         assert before[column].tobytes() == after[column].tobytes(), column
 
 
-@pytest.mark.parametrize("frame", ["mesh", "com"])
 @pytest.mark.parametrize("name", ["acronym", "graspgen"])
-def test_matrices_keep_poses_to_a_micrometre_and_a_microradian(evaluated_run, tmp_path, name, frame) -> None:
+def test_matrices_keep_poses_to_a_micrometre_and_a_microradian(evaluated_run, tmp_path, name) -> None:
     rows = successes(evaluated_run)
-    genomes = there_and_back(evaluated_run, name, tmp_path, frame=frame)[: len(rows)]
+    genomes = there_and_back(evaluated_run, name, tmp_path)[: len(rows)]
     assert max(errors(genomes, rows)) < LARGEST
     np.testing.assert_array_equal(genomes[:, 7:], read_run(evaluated_run).starts[:, 7:])
 

@@ -8,9 +8,8 @@ from tests.coordinator.recorded_runs import random_rows, record, reshape_rows
 from tests.coordinator.scenes import made_scene
 
 from qdgrasp_coordinator.storage.engine_table import read_table
-from qdgrasp_coordinator.storage.job_folder import JobFolder
-from qdgrasp_coordinator.storage.run_folder import RunFolder, run_folders
-from qdgrasp_protocol.errors import FolderError, InputError
+from qdgrasp_coordinator.storage.run_folder import RunFolder
+from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_tools.local.supervisor import LocalJobConfig
@@ -147,20 +146,6 @@ def test_lots_are_the_runs_of_a_job_one_after_the_other(folders: list[RunFolder]
     assert second is not None
     assert (again.run, lots.next()) == (first.run, None)
     assert first.prior == "given"
-
-
-def test_the_runs_of_a_campaign_are_looked_for_in_its_folder(folders, tmp_path) -> None:
-    campaign = JobFolder.create(tmp_path / "campaign", "all")
-    for folder in folders:
-        folder.path.rename(campaign.path / "runs" / folder.path.name)
-        (campaign.path / "runs" / folder.path.name / "job.json").unlink()
-    assert [folder.run for folder in run_folders([campaign.path])] == ["s0", "s1"]
-    assert [folder.run for folder in run_folders([campaign.path / "runs" / "s1"])] == ["s1"]
-
-
-def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FolderError):
-        run_folders([tmp_path])
 
 
 def test_what_differs_is_noted_by_row_and_column(folders: list[RunFolder]) -> None:

@@ -63,7 +63,9 @@ def agreement(ours, theirs, where=None):
     return same.mean() if where is None else same[where].mean()
 
 
-@pytest.mark.parametrize("target", OBJECTS)
+@pytest.mark.parametrize(
+    "target", [pytest.param(each, marks=pytest.mark.slow if each == "mug" else ()) for each in OBJECTS]
+)
 def test_the_panda_fares_as_in_the_authors_code(target, asset_path):
     ours, theirs = sides(asset_path, "panda_2f", target, every=3)
     assert agreement(ours.valid, theirs.valid) >= 0.99

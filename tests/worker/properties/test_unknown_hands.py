@@ -24,13 +24,10 @@ from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 NU, DISTANCE = 3, 4
 """Genes of the prior contact: how far from the normal a hand looks, and from how far away."""
 ROBOTS = "cmeel.prefix/share/example-robot-data/robots/allegro_hand_description"
-MANI = "mani_skill/assets/robots"
 CASES = {
     "xarm": ("pybullet", "pybullet_data/xarm/xarm6_with_gripper.urdf", "rubiks_cube"),
     "pr2": ("pybullet", "pybullet_data/pr2_gripper.urdf", "tennis_ball"),
     "allegro": ("example-robot-data", f"{ROBOTS}/urdf/allegro_right_hand.urdf", "mug"),
-    "allegro_boxes": ("mani-skill", f"{MANI}/allegro/allegro_hand_right.urdf", "mug"),
-    "ability": ("mani-skill", f"{MANI}/ability_hand/ability_hand_right.urdf", "mug"),
 }
 """Hands in public packages: package, URDF below a folder of Python's path, object."""
 
@@ -88,7 +85,6 @@ def test_joints_that_mimic_another_close_with_it_as_it_does(mimicking: Scene) ->
     assert np.ptp(alike, axis=1).max() < 0.02
 
 
-@pytest.mark.parametrize("packaged", ["xarm", "pr2", "allegro"], indirect=True)
 def test_a_hand_of_a_public_package_is_guessed_and_grasps(packaged: tuple[Path, str], tmp_path: Path) -> None:
     urdf, target = packaged
-    assert grasps(scene_of(urdf, tmp_path, target), 120) > 0
+    assert grasps(scene_of(urdf, tmp_path, target), 60) > 0
