@@ -21,15 +21,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return SecurityFolder.create(tmp_path_factory.mktemp("s") / "security", hosts=[HOST], days=1).path
 
 
-@pytest.mark.parametrize("protocol", ["tcp", "tls"])
-def test_a_session_is_opened_and_opened_again_over_a_long_link(folder, protocol) -> None:
-    near = own_endpoint(protocol)
-    shown = {role: Credentials.find(folder if protocol == "tls" else None, role) for role in Role}
+def test_a_session_is_opened_and_opened_again_over_a_long_link(folder: Path) -> None:
+    near, shown = own_endpoint("tls"), {role: Credentials.find(folder, role) for role in Role}
     links, heard = SimpleQueue[bool](), SimpleQueue[bytes]()
     with (
         ZenohBus.router(near, credentials=shown[Role.ROUTER]) as router,
         slow_link(Endpoint.parse(near).port, 0.6, 0.05) as link,
-        ZenohBus.connect(f"{protocol}/{HOST}:{link.port}", 30.0, credentials=shown[Role.WORKER]) as bus,
+        ZenohBus.connect(f"tls/{HOST}:{link.port}", 30.0, credentials=shown[Role.WORKER]) as bus,
         bus.on_link(links.put),
         router.subscribe("qdgrasp/v1/mugs/@result/*", lambda sample: heard.put(sample.payload)),
     ):

@@ -1,7 +1,6 @@
 """Supervision of child processes: restarts by a simulated clock, and the end of real processes."""
 
 import subprocess
-from math import inf
 
 import pytest
 from hypothesis import given
@@ -11,7 +10,6 @@ from tests.common import PATIENCE
 from qdgrasp_protocol.process import (
     MOST_DEATHS,
     MOST_OUTSIDE_DEATHS,
-    DiesAgain,
     ProcessExit,
     ProcessSupervisor,
     RestartPolicy,
@@ -70,18 +68,6 @@ def test_a_killed_process_is_started_again_after_its_pause_with_new_arguments(pr
     assert processes.pids() == {}
     processes.restart_due(100.0 + pause)
     assert processes.process("sleeper").wait(PATIENCE) == 4
-
-
-def test_a_process_that_dies_again_and_again_raises_with_its_last_words_until_there_is_progress(processes):
-    start(processes, "import os; os._exit(1)", "coordinator").wait(PATIENCE)
-    processes.exits()
-    death = ProcessExit("coordinator", 1, "Out of luck.")
-    for _ in range(2):
-        processes.note_progress()
-        for _ in range(MOST_DEATHS):
-            assert processes.restart_later(death, now=0.0) < inf
-    with pytest.raises(DiesAgain, match=r"coordinator died 6 times .* exit code 1\. Out of luck\.$"):
-        processes.restart_later(death, now=0.0)
 
 
 def test_a_process_takes_no_certificates_but_those_that_it_is_given(processes, monkeypatch):

@@ -73,6 +73,7 @@ def test_a_finished_campaign_is_not_carried_out_again(done):
     assert digests(done) == before
 
 
+@pytest.mark.slow
 def test_a_folder_of_meshes_is_a_campaign(qdgrasp):
     parts = qdgrasp.home / "my parts"
     parts.mkdir()

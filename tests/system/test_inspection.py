@@ -36,6 +36,7 @@ def untrue(reference: Reference, tmp_path: Path) -> Path:
     return made.path
 
 
+@pytest.mark.slow
 def test_a_grasp_is_drawn_the_same_every_time(qdgrasp: Commands, reference: Reference) -> None:
     run, held = reference[0], first(rows_of(reference[0]), Outcome.HELD)
     for name in ("one.png", "other.png"):
@@ -68,6 +69,7 @@ def test_a_row_that_is_not_what_it_was_is_named(qdgrasp: Commands, untrue: Path)
     assert f"{n} of them were made on a platform that is not recorded" in done.out
 
 
+@pytest.mark.slow
 def test_scores_of_exported_grasps_are_those_of_the_run_bit_for_bit(qdgrasp, reference):
     file = "f.yaml"
     qdgrasp.succeed("export", reference[0], "--format", "isaac", "--min-fitness", 0, "-o", file)

@@ -103,6 +103,7 @@ def test_two_scenes_of_a_pool_are_evaluated_at_once_with_the_rows_of_each(evalua
         pass
 
 
+@pytest.mark.slow
 def test_poses_that_were_found_score_as_they_did(evaluations: qdgrasp.Evaluations, near: np.ndarray) -> None:
     rows = evaluations.evaluate(near)
     poses = rows["base_to_object"]
