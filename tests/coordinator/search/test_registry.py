@@ -156,6 +156,16 @@ def test_a_pipeline_of_given_poses_ends_also_when_they_do_not_spend_the_budget()
     assert pipeline.finished == "the search has nothing left to ask"
 
 
+@pytest.mark.parametrize("outcome", [Outcome.ERROR, Outcome.DEAD_END, Outcome.OVERLAP])
+def test_cma_mae_never_inserts_what_was_rejected(outcome: Outcome) -> None:
+    """Here, because pyribs is compiled for seconds in each process."""
+    search = test_cma_mae.CmaMae(test_cma_mae.spec(), test_cma_mae.SHAPE.genes, test_cma_mae.BOX)
+    test_cma_mae.play(search, 3)
+    before = len(search._archive)
+    test_cma_mae.play(search, 3, outcome)
+    assert len(search._archive) == before > 0
+
+
 def test_a_fresh_process_asks_the_same_bits() -> None:
     """One for all searches: it compiles and loads for seconds."""
     modules = (test_portfolio, test_cma_mae)
