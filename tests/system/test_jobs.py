@@ -99,7 +99,7 @@ def test_a_run_ends_with_its_goal_and_is_extended_from_there(qdgrasp):
     done = qdgrasp.succeed(*goal, "--grasps", 3, "--out", "run")
     assert "It ended early: 3 grasps are found." in done.out
     assert "is finished" in qdgrasp("resume", "run").out
-    assert "grasps must be at least 3" in sentence(qdgrasp("resume", "run", "--grasps", 2))
+    assert "grasps must be reached by the last row" in sentence(qdgrasp("resume", "run", "--grasps", 2))
     qdgrasp.succeed("resume", "run", "--grasps", 6, "--workers", 1)
     qdgrasp.succeed(*goal, "--grasps", 6, "--out", "whole")
     assert qdgrasp.digest("run") == qdgrasp.digest("whole")

@@ -267,9 +267,9 @@ class RunCounter:
     def check_budget(self, where: str = "evaluations") -> None:
         """Check that the rows counted begin a journal of this spec; they may be of another budget.
 
-        Raises `ImpossibleValue`, which calls the budget `where`, if the rows go on after that budget, or if
-        another budget or goal ended a generation early: then trials follow, where a greater budget has
-        nominal rows first. Rows behind a goal are refused when they are replayed.
+        Raises `ImpossibleValue`, which calls the budget `where`, if the rows go on after that budget or a
+        goal, or if another budget or goal ended a generation early: then trials follow, where a greater
+        budget has nominal rows first.
         """
         if self._last is None:
             return
@@ -277,6 +277,9 @@ class RunCounter:
         least = self.evaluations + (not is_counted)
         if self.spec.evaluations < least:
             raise ImpossibleValue(where, self.spec.evaluations, f"at least {least}, which are recorded")
+        if self._tracker.is_passed:
+            name = "saturation" if self.spec.grasps is None else "grasps"
+            raise ImpossibleValue(name, getattr(self.spec, name), "reached by the last row that is recorded")
         is_cut = self._trials_follow and self._last["index"] + 1 < self.spec.population
         if is_cut and self.spec.evaluations > least and self._tracker.reached is None:
             expected = f"{least}: trials end the generation there, and only whole generations can be extended"

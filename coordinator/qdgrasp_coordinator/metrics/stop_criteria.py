@@ -28,15 +28,14 @@ class StopTracker:
 
     def __init__(self, spec: RunSpec) -> None:
         self._least_grasps, self._saturation = spec.grasps, spec.saturation or None
-        self._grasps = 0
+        self._grasps, self.is_passed = 0, False  # Whether rows go on behind a goal
         self._rate = NicheRate(spec.diversity)
 
     def count(self, rows: Rows) -> None:
         """Count the next nominal rows (n,)."""
-        if not len(rows):
-            return
+        self.is_passed |= (0 if self.reached else self.rows_until_stop(rows)) < len(rows)
         self._grasps += int(np.count_nonzero(rows["outcome"] >= Outcome.SHAKEN))
-        if self._saturation is not None:
+        if self._saturation is not None and len(rows):
             self._rate.count(rows)
 
     @property
