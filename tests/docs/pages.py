@@ -163,7 +163,6 @@ CUTS: tuple[tuple[str, str], ...] = (
 DEFAULTS: tuple[tuple[str, str, str], ...] = (
     (r"qdgrasp (run|optimise) (?!.*(--evaluations|spec\.toml))", "--evaluations", "60"),
     (r"qdgrasp (run|resume|campaign|rerank|evaluate|verify) (?!.*(--workers|--list))", "--workers", "1"),
-    (r"qdgrasp export (?=.*--verify-top)", "--workers", "1"),
     (r"qdgrasp run (?=.*--workers 0)(?!.*--listen)", "--listen", "{tcp}"),
     (r"qdgrasp (run|resume|campaign|rerank) (?!.*--list)", "--listen", "{own}"),
     (r"qdgrasp (jobs|pause|continue|drain|cancel)\b(?!.*--connect)", "--connect", "{tcp}"),
