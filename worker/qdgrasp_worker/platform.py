@@ -13,12 +13,7 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.rows import RESULT, pack
-from qdgrasp_protocol.spec import (
-    DEVICE_ENGINE,
-    Device,
-    RunSpec,
-    has_bullet,
-)
+from qdgrasp_protocol.spec import DEVICE_ENGINE, Device, RunSpec, has_bullet
 from qdgrasp_worker.evaluator import DEVICE_MODULE, Evaluator, make_evaluator
 
 EVALUATION = 4

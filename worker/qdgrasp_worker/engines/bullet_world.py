@@ -29,7 +29,6 @@ from qdgrasp_worker.engines.bullet import (
     ObjectBody,
     load_table,
 )
-from qdgrasp_worker.engines.mujoco_model import couplings
 from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
 from qdgrasp_worker.physical_episode import FingerControl, PhysicalWorld, finger_drives, table_middle
 from qdgrasp_worker.world import (
@@ -46,6 +45,7 @@ from qdgrasp_worker.world import (
     ShakenWorld,
     Touch,
     WorldState,
+    couplings,
     free_postures,
     seen_from,
 )

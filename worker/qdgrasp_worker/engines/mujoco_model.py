@@ -13,7 +13,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,12 +20,12 @@ from qdgrasp_assets.geometry.mesh import parse_parts
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.geometry.voxels import convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import attribute_numbers, check_convex, geometry_corners
-from qdgrasp_assets.grippers.hand_model import followers
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, scene_robot
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.contact_margin import HULL_MARGIN
 from qdgrasp_worker.physical_episode import TABLE_HALF, FingerDrive
+from qdgrasp_worker.world import couplings
 
 DETECTION_GAP = 5e-4  # Extra distance at which contacts are found; two shapes add theirs [m]
 LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # For a link that has none in Bullet [kg, kg m2]
@@ -114,15 +113,6 @@ def inflated_box(low: Floats, high: Floats, frame: Floats, before: float, after:
     centre, half = (low + high) / 2, (high - low) / 2 + before
     middle, side = frame[:3, :3] @ centre + frame[:3, 3], np.abs(frame[:3, :3]) @ half + after
     return np.stack([middle - side, middle + side])
-
-
-class Coupling(NamedTuple):
-    """A joint that a belt or gears couple to another one: offset + ratio * leader."""
-
-    joint: str
-    leader: str
-    offset: float
-    ratio: float
 
 
 def box_moments(mass: float, sides: Floats) -> Floats:
@@ -310,23 +300,6 @@ class SceneModel:
             ET.SubElement(body, "freejoint")
         group = {"contype": OBJECT_GROUP, "conaffinity": HAND_GROUP, "condim": "6", "priority": "1"}
         add_shape(body, meshes, self._shape, group)
-
-
-def couplings(robot: Urdf, gripper: SceneGripper) -> Iterator[Coupling]:
-    """Yield the constraints of joints that close together.
-
-    The joints of a jaw close by the same share; others follow where the URDF says that they mimic.
-    """
-    driven = {joint.name: joint for joint in gripper.joints if joint.driven and joint.opened != joint.closed}
-    if gripper.jaw:
-        first, *others = driven.values()
-        for joint in others:
-            ratio = (joint.closed - joint.opened) / (first.closed - first.opened)
-            yield Coupling(joint.name, first.name, joint.opened - ratio * first.opened, ratio)
-        return
-    for name, mimic in followers(robot).items():
-        if {name, mimic.leader} <= driven.keys():
-            yield Coupling(name, mimic.leader, mimic.offset, mimic.multiplier)
 
 
 def drive_attributes(drive: FingerDrive) -> dict[str, str]:
