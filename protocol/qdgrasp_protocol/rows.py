@@ -57,6 +57,11 @@ class Outcome(IntEnum):
         """True if a finger touches the object after closing: for S_G and coverage."""
         return self >= Outcome.DROPPED
 
+    @property
+    def is_grasp(self) -> bool:
+        """True if at least one disturbance was survived: a grasp for users and exports."""
+        return self >= Outcome.SHAKEN
+
 
 TRIALS = 100
 """Trials of a success (Huber et al. 2024), each with the disturbances of the base protocol."""

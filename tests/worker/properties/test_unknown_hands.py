@@ -17,7 +17,7 @@ from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy
 from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.urdf import read_urdf
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
+from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 
@@ -59,7 +59,7 @@ def grasps(scene: Scene, n: int) -> int:
     genomes = draw(n, genes=len(layout(scene, "contact")))
     genomes[:, DISTANCE] = (genomes[:, DISTANCE] - 1.0) / 2.0
     genomes[::2, NU], genomes[::2, DISTANCE] = -1.0, (genomes[::2, DISTANCE] - 1.0) / 2.0
-    return sum(outcome >= Outcome.SHAKEN for outcome in outcomes(evaluated(scene, "contact", genomes)))
+    return sum(outcome.is_grasp for outcome in outcomes(evaluated(scene, "contact", genomes)))
 
 
 def closing_course(scene: Scene) -> np.ndarray:
