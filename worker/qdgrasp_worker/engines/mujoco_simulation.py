@@ -39,7 +39,11 @@ class Simulation:
         self._couplings = scene.couplings
         self.is_object = self.model.geom_bodyid == self.object
         self.of_object = np.flatnonzero(self.is_object)
-        self._is_table = np.array([self.model.body(i).name == TABLE for i in self.model.geom_bodyid])
+        bodies = self.model.geom_bodyid
+        self._is_table = np.array([self.model.body(i).name == TABLE for i in bodies])
+        is_link = ~(self.is_object | self._is_table)
+        met = np.where(is_link[:, None] & self.is_object, bodies[:, None], -1)
+        self._link_met = np.maximum(met, met.T)  # (g, g): link in a contact of two geoms; -1: none
         self._force = np.zeros(6)
         moving = [self.model.joint(i) for i in range(self.model.njnt)]
         self._joint_places = {joint.name: int(joint.qposadr[0]) for joint in moving if joint.name}
@@ -123,17 +127,14 @@ class Simulation:
 
         They are nearer than `nearest`; the distance is 0 where forces begin.
         """
-        data, model = self.data, self.model
-        if not data.ncon:
+        if not self.data.ncon:
             return []
-        contact = data.contact
+        contact = self.data.contact
         distance = contact.dist - contact.includemargin
-        geoms = contact.geom
-        is_object = self.is_object[geoms]
-        is_hand = ~self._is_table[geoms].any(axis=1)
-        chosen = np.flatnonzero((distance < nearest) & is_object.any(axis=1) & is_hand)
-        links = model.geom_bodyid[np.where(is_object[:, 0], geoms[:, 1], geoms[:, 0])]
-        return [(i, int(links[i]), float(distance[i])) for i in chosen.tolist()]
+        first, second = contact.geom.T
+        links = self._link_met[first, second]
+        chosen = np.flatnonzero((distance < nearest) & (links >= 0))
+        return list(zip(chosen.tolist(), links[chosen].tolist(), distance[chosen].tolist(), strict=True))
 
     def force(self, contact: int) -> tuple[Floats, Floats, float]:
         """Point (3,) on the object, unit normal (3,) into it, and force along it [N]; world frame."""
