@@ -308,7 +308,7 @@ class Finger:
             len(points) * (frames[link][..., :3, :3] @ points.mean(axis=0) + frames[link][..., :3, 3])
             for link, points in self.tips
         ]
-        return np.asarray(np.sum(middles, axis=0) / sum(len(points) for _, points in self.tips))
+        return np.asarray(sum(middles) / sum(len(points) for _, points in self.tips))
 
 
 def find_fingers(
