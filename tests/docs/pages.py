@@ -167,9 +167,8 @@ DEFAULTS: tuple[tuple[str, str, str], ...] = (
     (r"qdgrasp (run|resume|campaign|rerank) (?!.*--list)", "--listen", "{own}"),
     (r"qdgrasp (jobs|pause|continue|drain|cancel)\b(?!.*--connect)", "--connect", "{tcp}"),
     (r"qdgrasp-(monitor|worker)\b(?!.*--connect)", "--connect", "{tcp}"),
-    (r"qdgrasp render (?!.*--size)", "--size", "320x240"),
 )
-"""Flags added to lines that a pattern matches: a budget, an endpoint of its own, a small size."""
+"""Flags added to lines that a pattern matches: a budget, an endpoint of its own."""
 
 SERVICES: dict[str, str] = {
     r"qdgrasp-router": "listening",

@@ -40,12 +40,12 @@ def untrue(reference: Reference, tmp_path: Path) -> Path:
 def test_a_grasp_is_drawn_the_same_every_time(qdgrasp: Commands, reference: Reference) -> None:
     run, held = reference[0], first(rows_of(reference[0]), Outcome.HELD)
     for name in ("one.png", "other.png"):
-        done = qdgrasp("render", run, "--grasp", held, "-o", name, "--size", "400x360")
+        done = qdgrasp("render", run, "--grasp", held, "-o", name)
         assert (done.code, done.out) == (0, f"held, row {held}: drawn in {name}\n"), done.err
     one, other = ((qdgrasp.home / name).read_bytes() for name in ("one.png", "other.png"))
     assert one == other
     with Image.open(qdgrasp.home / "one.png") as image:
-        assert image.size == (400, 360)
+        assert image.size == (640, 560)
         assert len(image.getcolors(1 << 20) or []) > 500
 
 

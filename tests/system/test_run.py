@@ -58,7 +58,7 @@ def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(qdgras
     with RunFolder.open(qdgrasp.home / "one").journal() as journal:
         held = int(np.flatnonzero(journal.slice(0, 40).rows["outcome"] == Outcome.HELD)[0])
     for name in ("still.png", "film.gif"):
-        drawn = qdgrasp.succeed("render", "one", "--grasp", held, "-o", name, "--size", "320x240")
+        drawn = qdgrasp.succeed("render", "one", "--grasp", held, "-o", name)
         assert drawn.out.startswith(f"held, row {held}: drawn in {name}")
     with Image.open(qdgrasp.home / "film.gif") as film:
         assert film.n_frames > 10

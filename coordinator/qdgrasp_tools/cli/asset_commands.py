@@ -14,7 +14,7 @@ import msgspec
 import typer
 
 from qdgrasp_assets import catalog, ycb
-from qdgrasp_assets.asset_paths import named_path, path_problem
+from qdgrasp_assets.asset_paths import named_path
 from qdgrasp_assets.asset_report import AssetReport, ObjectReport, inspect_object
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
@@ -180,7 +180,7 @@ def check_object(
     """
     if mass is not None:
         run_spec({"gripper": "", "object": "", "mass": mass}, "object check")
-    metres, path, writing = options.scale_of_units(units), _found(file), None
+    metres, path, writing = options.scale_of_units(units), named_path(file), None
     if picture is not None:
         picture_file(picture, path.name).check()
     if repaired is not None:
@@ -198,13 +198,6 @@ def check_object(
         file, metres, prepared = str(repaired), None, MeshPreparation(glued=glued)
     changes = options.mesh_words(prepared)
     echo(f"next: {_next(file, metres, mass)}{f' --mesh {changes}' if changes else ''}", err=as_json)
-
-
-def _found(file: str) -> Path:
-    path = named_path(file)
-    if file in catalog.object_names() and path_problem(path):
-        raise AssetError(f"'{file}' is an object of the catalog, no file, and checked where it is read.")
-    return path
 
 
 def _made(

@@ -19,7 +19,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder, run_folders
 from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
 from qdgrasp_coordinator.storage.tables import aligned_text
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.errors import EXTRAS, ImpossibleValue, InputError, check_packages
+from qdgrasp_protocol.errors import EXTRAS, InputError, check_packages
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import printable
 from qdgrasp_tools.campaign.summaries import (
@@ -143,9 +143,6 @@ def verify(
         raise typer.Exit(1)
 
 
-LEAST_PIXELS, MOST_PIXELS = 240, 3840  # Along a side of a picture
-
-
 def render(
     directory: options.RunDir,
     out: Annotated[
@@ -155,14 +152,6 @@ def render(
         ),
     ],
     grasp: Annotated[int, typer.Option(metavar="N", min=0, help="The row's number in the journal, from 0.")],
-    size: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WxH",
-            show_default=False,
-            help="Width and height [pixels]; default: 640x560.",
-        ),
-    ] = None,
     force: options.Force = False,
 ) -> None:
     """Carry one evaluation of a run out again and draw it.
@@ -174,7 +163,6 @@ def render(
     Example: qdgrasp render runs/demo --grasp 17 -o grasp.gif
     """
     from qdgrasp_tools.verification.replay import (  # what draws takes its time to load
-        PICTURE_SIZE,
         difference_reason,
         replay_target,
         write_evaluation,
@@ -182,11 +170,10 @@ def render(
 
     output = OutFile(out, suffixes=(".png", ".gif"), force=force)
     output.check()
-    pixels = PICTURE_SIZE if size is None else _picture_size(size)
     shown = replay_target(RunFolder.open(directory), grasp)
     echo(f"replaying row {shown.number} of {directory}", err=True)
     with lifetime("qdgrasp render") as stop:
-        unlike = write_evaluation(shown, pixels, output, stop)
+        unlike = write_evaluation(shown, output, stop)
         if stop.is_set:
             raise typer.Exit(stop.exit_code)
         if unlike:
@@ -194,14 +181,6 @@ def render(
     echo(f"{outcome_words(shown.outcome)}, row {shown.number}: drawn in {out}")
     if unlike:
         raise typer.Exit(1)
-
-
-def _picture_size(text: str) -> tuple[int, int]:
-    match text.lower().split("x"):
-        case [width, height] if width.isdecimal() and height.isdecimal():
-            if min(int(width), int(height)) >= LEAST_PIXELS and max(int(width), int(height)) <= MOST_PIXELS:
-                return int(width), int(height)
-    raise ImpossibleValue("--size", text, f"as 640x560, each side {LEAST_PIXELS} to {MOST_PIXELS} pixels")
 
 
 LOCAL_PAGE = "127.0.0.1:0"

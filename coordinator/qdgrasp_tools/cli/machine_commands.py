@@ -27,8 +27,6 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.supervisor import local_platform
 
-NETWORK_FILE_SYSTEMS = {"nfs", "nfs4", "cifs", "smb3", "fuse.sshfs", "lustre", "beegfs", "gpfs"}
-
 
 class MissingRequirement(InputError):
     """A requirement of runs is missing."""
@@ -92,22 +90,9 @@ def _check_simulator() -> str:
 
 def _check_disk() -> str:
     here = Path.cwd()
-    kind = _file_system(here)
-    if kind in NETWORK_FILE_SYSTEMS:
-        raise MissingRequirement(f"{here} is on a network file system ({kind}); records need a local disk.")
     with tempfile.NamedTemporaryFile(dir=here):
         free = os.statvfs(here)
     return f"{free.f_bavail * free.f_frsize >> 30} GiB free, SQLite {sqlite3.sqlite_version}"
-
-
-def _file_system(path: Path) -> str:
-    """Return the type of the file system that holds `path`, empty where it is not known."""
-    try:
-        mounts = [line.split()[1:3] for line in Path("/proc/mounts").read_text().splitlines()]
-    except OSError:
-        return ""
-    holding = [(mount, kind) for mount, kind in mounts if path.is_relative_to(mount)]
-    return max(holding, key=lambda entry: len(entry[0]))[1] if holding else ""
 
 
 def _check_assets() -> str:

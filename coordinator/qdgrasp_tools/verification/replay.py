@@ -256,17 +256,15 @@ class SnapshotRenderer:
 
 
 PALETTE_FRAMES = 8  # Frames that a film's colours are taken from
-PICTURE_SIZE = (640, 560)  # Width and height [pixels], unless it is asked for
+PICTURE_SIZE = (640, 560)  # Width and height of a picture or a film [pixels]
 
 
-def write_evaluation(
-    shown: ReplayTarget, size: tuple[int, int], out: OutFile, stop: Stop
-) -> dict[str, comparison.ComparedValues]:
+def write_evaluation(shown: ReplayTarget, out: OutFile, stop: Stop) -> dict[str, comparison.ComparedValues]:
     """Replay a row and write its picture, or its film if the file is a GIF.
 
-    `size` is width and height [pixels]. Returns what the replay found in place of what is recorded, column by
-    column; nothing where they agree, and of a dead end, which was not simulated. Raises InputError if the
-    file cannot be written, and ReplayFailed if it could not be replayed.
+    Returns what the replay found in place of what is recorded, column by column; nothing where they agree,
+    and of a dead end, which was not simulated. Raises InputError if the file cannot be written, and
+    ReplayFailed if it could not be replayed.
     """
     answer = replay_evaluation(shown, stop)
     if answer is None:
@@ -274,7 +272,8 @@ def write_evaluation(
     still, is_film = still_snapshot(answer.snapshots), out.path.suffix.lower() == ".gif"
     frames = film_snapshots(answer.snapshots) if is_film else [TimedSnapshot(still, REST_SECONDS)]
     painter = SnapshotRenderer(shown.scene)
-    camera = painter.fit([still, *(frame.snapshot for frame in frames)], painter.best_view(still), size)
+    shots = [still, *(frame.snapshot for frame in frames)]
+    camera = painter.fit(shots, painter.best_view(still), PICTURE_SIZE)
     images = [painter.draw(frame.snapshot, camera) for frame in frames]
     with out.writing() as made:
         if is_film:

@@ -46,20 +46,9 @@ def refused(path: Path, out: object, *arguments: object, grasp: int = 1) -> str:
     return str(error)
 
 
-SIZES = ("640", "640x", "10x10", "640x560x3", "-640x560", "9999x9999")
-
-
-@pytest.mark.parametrize(
-    ("name", "flags", "words"),
-    [
-        ("a.jpg", (), "a.jpg must end with .png or .gif; name another path with --out."),
-        *(("a.gif", (f"--size={size}",), "--size must be as 640x560") for size in SIZES),
-    ],
-)
-def test_a_picture_that_cannot_be_drawn_is_refused(path, tmp_path, name, flags, words) -> None:
-    said = refused(path, tmp_path / name, *flags)
-    assert said.startswith(f"{tmp_path}/{words}" if name == "a.jpg" else words)
-    assert not words.endswith(".") or said.endswith(words)
+def test_a_picture_that_cannot_be_drawn_is_refused(path: Path, tmp_path: Path) -> None:
+    said = refused(path, tmp_path / "a.jpg")
+    assert said == f"{tmp_path}/a.jpg must end with .png or .gif; name another path with --out."
 
 
 @pytest.fixture(scope="module")
