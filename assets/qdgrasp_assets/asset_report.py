@@ -6,6 +6,7 @@ file that would be guessed for it. All faults are listed in the report, in words
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -31,107 +32,54 @@ from qdgrasp_assets.grippers.mjcf import is_mjcf, read_mjcf
 from qdgrasp_assets.grippers.urdf import Urdf, parse_robot, read_robot_element, structure_faults
 from qdgrasp_assets.grippers.urdf_checks import hand_faults, motion_faults, weight_faults
 from qdgrasp_assets.object_model import ObjectDraft
-from qdgrasp_assets.scene import Vector, vector
+from qdgrasp_assets.scene import vector
 from qdgrasp_assets.ycb import lengths_in_words
 from qdgrasp_protocol.errors import AssetError, QdgraspError
 from qdgrasp_protocol.text import counted
 
 
-class AssetReport(Struct, frozen=True, kw_only=True):
-    """Base of the results of an examination; each kind adds fields and lines."""
+class ReportLine(NamedTuple):
+    """A line of a report."""
 
+    label: str
+    words: str
+    values: dict[str, Any]
+    """What it says, by name: plain values, for programs."""
+
+
+class AssetReport(Struct, frozen=True, kw_only=True):
+    """Result of an examination of a hand or an object."""
+
+    kind: str
     name: str
+    facts: tuple[ReportLine, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """Signs of wrong guesses, each with the flag that corrects it."""
     notes: tuple[str, ...] = ()
     """Unlikely things that do not prevent its use."""
     faults: tuple[str, ...] = ()
     """Reasons why it cannot be used; empty where it can."""
 
     @property
+    def values(self) -> dict[str, Any]:
+        """All that is known, by name: plain values."""
+        known = {name: value for fact in self.facts for name, value in fact.values.items()}
+        return {"name": self.name, **known, **{key: list(getattr(self, key)) for key in REMARKS}}
+
+    @property
     def table(self) -> str:
         """All facts, one on each line."""
-        notes, faults = (("note", words) for words in self.notes), (("WRONG", words) for words in self.faults)
-        return "\n".join(f"{label:<16} {words}" for label, words in (*self._lines(), *notes, *faults))
-
-    def _lines(self) -> Iterator[tuple[str, str]]:
-        """Return the lines of the table as label and text, without notes and faults."""
-        yield "name", self.name
+        lines = [(self.kind, self.name), *((fact.label, fact.words) for fact in self.facts)]
+        lines += [(label, words) for key, label in REMARKS.items() for words in getattr(self, key)]
+        return "\n".join(f"{label:<16} {words}" for label, words in lines)
 
 
+REMARKS = {"warnings": "warning", "notes": "note", "faults": "WRONG"}
+"""Labels of what is remarked in a report."""
 WATER = 1000.0  # Density of water [kg/m3]
 LIGHTEST, HEAVIEST = 20.0, 12_000.0  # Plausible densities of an object: foam to lead [kg/m3]
 ROUNDING = 1e-9
 MOST_NAMES = 20  # Geometries that a note names
-
-
-class ConvexPartsReport(Struct, frozen=True, kw_only=True):
-    """The convex parts that stand for an object in the simulator."""
-
-    count: int
-    source: str
-    """"own hull" or "cuts"."""
-    filled: float
-    """Share of the surface in front of which they fill free space, 0 to 1."""
-    bare: float
-    """Share of the surface that is outside all of them, 0 to 1."""
-
-    @property
-    def words(self) -> str:
-        """Description in words."""
-        return (
-            f"{self.count}, {self.source}: fill the room before {100 * self.filled:.1f} % of the surface, "
-            f"leave {100 * self.bare:.1f} % of it out"
-        )
-
-
-class ObjectReport(AssetReport, frozen=True, kw_only=True):
-    """Result of the inspection of a mesh file."""
-
-    scale: float
-    """Metres to a unit of the file."""
-    extents: Vector
-    """Sides of the bounding box [m]."""
-    triangles: int
-    closed: bool
-    """True if every edge has an even number of triangles, usually two."""
-    bodies: int
-    """Number of bodies that do not touch; they are one rigid object."""
-    hollows: int = 0
-    """Number of closed spaces within bodies."""
-    volume: float | None = None
-    """[m3]; None, as in the fields below, for a mesh that cannot be used."""
-    mass: float | None = None
-    """Mass [kg]; None: unknown."""
-    density: float | None = None
-    """Density [kg/m3]; None without a mass."""
-    centre_of_mass: Vector | None = None
-    """Centre of mass at uniform density, in the mesh file's frame [m]."""
-    inertia: tuple[Vector, Vector, Vector] | None = None
-    """Inertia about the centre of mass, uniform density, mesh axes [kg m2]; None without a mass."""
-    surface_points: int | None = None
-    """Number of surface points of an evaluation under `paper`."""
-    convex: ConvexPartsReport | None = None
-    """Its convex parts; None also if they were not asked for."""
-    repairs: tuple[str, ...] = ()
-
-    def _lines(self) -> Iterator[tuple[str, str]]:
-        yield "object", self.name
-        unit = "" if self.scale == 1 else f" ({scale_in_words(self.scale)})"
-        yield "size", f"{lengths_in_words(self.extents)} m{unit}"
-        yield "surface", f"{counted(self.triangles, 'triangle')}, {'closed' if self.closed else 'NOT closed'}"
-        yield "bodies", f"{self.bodies}" + (f", with {self.hollows} hollow within" if self.hollows else "")
-        if self.volume is not None and self.centre_of_mass is not None:
-            yield "volume", f"{self.volume * 1e6:.2f} cm3"
-            yield "mass", "not said" if self.mass is None else f"{self.mass:g} kg, {self.density:.0f} kg/m3"
-            centre = " ".join(f"{round(value, 4) + 0.0:.4f}" for value in self.centre_of_mass)
-            yield "centre of mass", f"{centre} m, frame of the mesh file"
-            words = " kg m2, about the centre of mass, solid throughout"
-            for turn, row in enumerate(self.inertia or ()):
-                numbers = " ".join(f"{value:10.3e}" for value in row)
-                yield ("", numbers) if turn else ("inertia", numbers + words)
-            yield "surface points", f"{self.surface_points}"
-            yield "convex parts", self.convex.words if self.convex else "not looked for"
-        repairs = self.repairs or (() if self.faults else ("nothing had to be",))
-        yield from (("repaired", words) for words in repairs)
 
 
 def inspect_object(
@@ -142,7 +90,7 @@ def inspect_object(
     mass: float | None = None,
     glued: bool = False,
     parts: bool = True,
-) -> ObjectReport:
+) -> AssetReport:
     """Inspect a mesh file before a run is made of it.
 
     `name` is the object's in the result, `scale` metres to a unit of the file (None: 1), `mass` in kg (None:
@@ -151,56 +99,76 @@ def inspect_object(
     """
     mesh, volumes = draft.mesh, body_volumes(draft.mesh)
     hollows = 0 if draft.faults else int((volumes < 0).sum())
-    found = ObjectReport(
-        name=name,
-        scale=1.0 if scale is None else scale,
-        extents=vector(mesh.extents),
-        triangles=len(mesh.faces),
-        closed=MeshEdges(mesh).is_closed,
-        bodies=len(volumes) - hollows,
-        hollows=hollows,
-        repairs=draft.repairs,
-        faults=draft.faults,
-    )
-    notes = []
+    bodies, notes = len(volumes) - hollows, []
+    faults = draft.faults or draft.object_faults(glued=glued)
+    facts = list(_surface_facts(mesh, 1.0 if scale is None else scale, bodies, hollows))
     if len(draft.geometries) > 1:
         names = ", ".join(draft.geometries[:MOST_NAMES])
         notes.append(
             f"the file holds {len(draft.geometries)} geometries, which are taken as one object: {names}; "
             "--mesh geometry=NAME takes one"
         )
-    if found.faults:
-        return msgspec.structs.replace(found, notes=tuple(notes))
-    density = None if mass is None else mass / mesh.volume
-    rows = () if mass is None else _without_rounding(mass * mesh.inertia)
-    found = msgspec.structs.replace(
-        found,
-        volume=mesh.volume,
-        mass=mass,
-        density=density,
-        centre_of_mass=vector(_without_rounding(mesh.centre_of_mass)),
-        inertia=None if mass is None else tuple(vector(row) for row in rows),
-        surface_points=int(POINTS_PER_METRE * np.linalg.norm(mesh.extents)),
-        notes=(*notes, *_solid_notes(found, mesh, density)),
-    )
-    if faults := draft.object_faults(glued=glued):
-        return msgspec.structs.replace(found, notes=(), faults=faults)
-    if not parts:
-        return found
+    if not draft.faults:
+        density = None if mass is None else mass / mesh.volume
+        facts += _solid_facts(mesh, mass, density)
+        facts.append(_parts_fact(mesh if parts and not faults else None))
+        notes = [] if faults else [*notes, *_solid_notes(mesh, bodies, hollows, density)]
+    repairs = draft.repairs or (() if faults else ("nothing had to be",))
+    facts += [ReportLine("repaired", words, {"repairs": list(draft.repairs)}) for words in repairs]
+    return AssetReport(kind="object", name=name, facts=tuple(facts), notes=tuple(notes), faults=faults)
+
+
+def _surface_facts(mesh: Mesh, scale: float, bodies: int, hollows: int) -> Iterator[ReportLine]:
+    """Yield the facts of any mesh [m]; `scale` is metres to a unit of its file."""
+    unit = "" if scale == 1 else f" ({scale_in_words(scale)})"
+    sides = {"scale": scale, "extents": vector(mesh.extents)}
+    yield ReportLine("size", f"{lengths_in_words(mesh.extents)} m{unit}", sides)
+    triangles, closed = len(mesh.faces), MeshEdges(mesh).is_closed
+    words = f"{counted(triangles, 'triangle')}, {'closed' if closed else 'NOT closed'}"
+    yield ReportLine("surface", words, {"triangles": triangles, "closed": closed})
+    within = f", with {hollows} hollow within" if hollows else ""
+    yield ReportLine("bodies", f"{bodies}{within}", {"bodies": bodies, "hollows": hollows})
+
+
+def _solid_facts(mesh: Mesh, mass: float | None, density: float | None) -> Iterator[ReportLine]:
+    """Yield the facts of a closed mesh [m], its mass [kg] and density [kg/m3]; None: unknown."""
+    yield ReportLine("volume", f"{mesh.volume * 1e6:.2f} cm3", {"volume": mesh.volume})
+    weight = "not said" if mass is None else f"{mass:g} kg, {density:.0f} kg/m3"
+    yield ReportLine("mass", weight, {"mass": mass, "density": density})
+    centre = vector(_without_rounding(mesh.centre_of_mass))
+    words = " ".join(f"{round(value, 4) + 0.0:.4f}" for value in centre)
+    yield ReportLine("centre of mass", f"{words} m, frame of the mesh file", {"centre_of_mass": centre})
+    rows = [] if mass is None else _without_rounding(mass * mesh.inertia).tolist()
+    of = " kg m2, about the centre of mass, solid throughout"
+    for turn, row in enumerate(rows):
+        numbers = " ".join(f"{value:10.3e}" for value in row)
+        yield ReportLine("", numbers, {}) if turn else ReportLine("inertia", numbers + of, {"inertia": rows})
+    points = int(POINTS_PER_METRE * np.linalg.norm(mesh.extents))  # of an evaluation under `paper`
+    yield ReportLine("surface points", str(points), {"surface_points": points})
+
+
+def _parts_fact(mesh: Mesh | None) -> ReportLine:
+    """Return what stands for a mesh in the simulator; None: it is not looked for."""
+    if mesh is None:
+        return ReportLine("convex parts", "not looked for", {"convex": None})
     source, convex = collision_parts(mesh)
     fit = FingerClearance(mesh).fit(convex)
-    fitted = ConvexPartsReport(count=len(convex), source=source, filled=fit.filled, bare=fit.bare)
-    return msgspec.structs.replace(found, convex=fitted)
+    words = (
+        f"{len(convex)}, {source}: fill the room before {100 * fit.filled:.1f} % of the surface, "
+        f"leave {100 * fit.bare:.1f} % of it out"
+    )
+    found = {"count": len(convex), "source": source, "filled": fit.filled, "bare": fit.bare}
+    return ReportLine("convex parts", words, {"convex": found})
 
 
-def _solid_notes(found: ObjectReport, mesh: Mesh, density: float | None) -> Iterator[str]:
+def _solid_notes(mesh: Mesh, bodies: int, hollows: int, density: float | None) -> Iterator[str]:
     """Yield the notes on a closed mesh and its density [kg/m3]; None without a mass."""
-    if found.bodies > 1:
+    if bodies > 1:
         yield (
-            f"its {found.bodies} bodies are moved as one rigid object, as if they were glued: give things "
+            f"its {bodies} bodies are moved as one rigid object, as if they were glued: give things "
             "that move by themselves files of their own"
         )
-    if found.hollows:
+    if hollows:
         yield "a hollow is aimed at, and no finger reaches it: leave it out unless it matters for the balance"
     inside = FingerClearance(mesh).inside
     if inside:
@@ -221,71 +189,27 @@ def _without_rounding(values: Floats) -> Floats:
     return np.where(np.abs(values) < ROUNDING * np.abs(values).max(), 0.0, values)
 
 
-class GripperReport(AssetReport, frozen=True, kw_only=True):
-    """Result of the examination of a hand."""
-
-    urdf: str = ""
-    base_link: str = ""
-    licence: str = ""
-    joints: int = 0
-    """Number of moving joints."""
-    followers: int = 0
-    """Number of these that mimic another one."""
-    fingers: int = 0
-    finger_links: tuple[str, ...] = ()
-    synergies: tuple[str, ...] = ()
-    rated: int = 0
-    """Number of joints with ratings of the real drive."""
-    ratings_source: str = ""
-    disabled_collisions: tuple[tuple[str, str], ...] = ()
-    mass: float | None = None
-    """Mass [kg]."""
-    extents: tuple[float, float, float] | None = None
-    """Sides of the box around the open hand, base link's frame [m]."""
-    parts: int = 0
-    """Convex parts that the simulator makes of the collision shapes."""
-    warnings: tuple[str, ...] = ()
-    """Signs of wrong guesses, each with the flag that corrects it."""
-
-    def _lines(self) -> Iterator[tuple[str, str]]:
-        yield "gripper", self.name
-        if self.base_link:
-            yield "URDF", self.urdf
-            yield "base link", self.base_link
-            mimics = f", {self.followers} of them mimic others" if self.followers else ""
-            yield "joints", f"{self.joints} move{mimics}"
-            yield "fingers", f"{self.fingers}, with {counted(len(self.finger_links), 'finger link')}"
-            if self.synergies:
-                yield "synergies", ", ".join(self.synergies)
-            yield "ratings", f"of {counted(self.rated, 'joint')}: {self.ratings_source}"
-            if self.disabled_collisions:
-                pairs = (f"'{one}' and '{other}'" for one, other in self.disabled_collisions)
-                yield "may overlap", ", ".join(pairs)
-            yield "licence", self.licence
-        if self.extents is not None:
-            yield "size", f"{' x '.join(f'{side:.4f}' for side in self.extents)} m, open"
-            yield "mass", f"{self.mass:.4g} kg"
-            yield "shapes", f"{self.parts} convex parts"
-        yield from (("warning", words) for words in self.warnings)
-
-
-def examine(path: Path, name: str) -> GripperReport:
+def examine(path: Path, name: str) -> AssetReport:
     """Examine a gripper's TOML file and its URDF; all faults are in the result."""
     try:
         file = read_gripper_file(path)
         robot, faults = read_robot(urdf_path(path, file))
     except QdgraspError as error:
-        return GripperReport(name=name, faults=(str(error).rstrip("."),))
-    return GripperReport(name=name, faults=faults) if robot is None else examine_hand(robot, file, name)
+        return AssetReport(kind="gripper", name=name, faults=(str(error).rstrip("."),))
+    return (
+        AssetReport(kind="gripper", name=name, faults=faults)
+        if robot is None
+        else examine_hand(robot, file, name)
+    )
 
 
-def examine_urdf(urdf: Path, name: str) -> tuple[GripperReport, Gripper | None]:
+def examine_urdf(urdf: Path, name: str) -> tuple[AssetReport, Gripper | None]:
     """Examine a URDF or MJCF file with the file guessed for it; and a gripper to draw.
 
     It may have links without masses, and visual shapes where no link that moves has others. None where
     nothing can be guessed.
     """
-    report = GripperReport(name=name)
+    report = AssetReport(kind="gripper", name=name)
     try:
         robot, faults, notes = read_hand(urdf)
         if robot is None:
@@ -325,37 +249,46 @@ def read_robot(urdf: Path) -> tuple[Urdf | None, tuple[str, ...]]:
     return None, (*faults, *motion_faults(element), *weight_faults(element))
 
 
-def examine_hand(robot: Urdf, file: GripperFile, name: str, warnings: tuple[str, ...] = ()) -> GripperReport:
+def examine_hand(robot: Urdf, file: GripperFile, name: str, warnings: tuple[str, ...] = ()) -> AssetReport:
     """Examine a hand whose file and URDF are read already, with warnings of its draft."""
     base, impossible = file.base_link, [*gripper_faults(file, robot)]
     impossible += hand_faults(robot.subtree(base)) if base in robot.links else ()
     if impossible:
-        return GripperReport(name=name, faults=tuple(dict.fromkeys(impossible)), warnings=warnings)
-    body = read_hand_model(robot, file.base_link)
-    hand = HandPostures(file, body)
-    corners = body.corners(body.parts, hand.posture(0.0))
+        return AssetReport(
+            kind="gripper", name=name, faults=tuple(dict.fromkeys(impossible)), warnings=warnings
+        )
+    hand = HandPostures(file, read_hand_model(robot, base))
     faults = posture_faults(hand)
-    notes = () if faults else (*posture_notes(hand), *_hollow_notes(body.robot))
-    return GripperReport(
-        name=name,
-        urdf=str(body.robot.path),
-        base_link=file.base_link,
-        licence=file.licence,
-        joints=len(body.moving),
-        followers=len(body.followers),
-        fingers=len(hand.closing.fingers),
-        finger_links=file.finger_links,
-        synergies=tuple(synergy.name for synergy in file.synergies),
-        rated=sum(table.rated_effort is not None for table in file.joints.values()),
-        ratings_source=file.ratings_source,
-        disabled_collisions=file.disabled_collisions,
-        mass=body.robot.mass,
-        extents=vector(np.ptp(corners, axis=0)) if len(corners) else (0.0, 0.0, 0.0),
-        parts=sum(map(len, body.parts.values())),
-        notes=notes,
-        faults=faults,
-        warnings=warnings,
-    )
+    notes = () if faults else (*posture_notes(hand), *_hollow_notes(hand.body.robot))
+    facts = tuple(_hand_facts(hand))
+    return AssetReport(kind="gripper", name=name, facts=facts, warnings=warnings, notes=notes, faults=faults)
+
+
+def _hand_facts(hand: HandPostures) -> Iterator[ReportLine]:
+    """Yield the facts of a hand whose shapes can be read."""
+    file, body = hand.file, hand.body
+    yield ReportLine("URDF", str(body.robot.path), {"urdf": str(body.robot.path)})
+    yield ReportLine("base link", file.base_link, {"base_link": file.base_link})
+    moving, following, fingers = len(body.moving), len(body.followers), len(hand.closing.fingers)
+    words = f"{moving} move{f', {following} of them mimic others' if following else ''}"
+    yield ReportLine("joints", words, {"joints": moving, "followers": following})
+    words = f"{fingers}, with {counted(len(file.finger_links), 'finger link')}"
+    yield ReportLine("fingers", words, {"fingers": fingers, "finger_links": file.finger_links})
+    if names := [synergy.name for synergy in file.synergies]:
+        yield ReportLine("synergies", ", ".join(names), {"synergies": names})
+    rated = sum(table.rated_effort is not None for table in file.joints.values())
+    values = {"rated": rated, "ratings_source": file.ratings_source}
+    yield ReportLine("ratings", f"of {counted(rated, 'joint')}: {file.ratings_source}", values)
+    if pairs := file.disabled_collisions:
+        words = ", ".join(f"'{one}' and '{other}'" for one, other in pairs)
+        yield ReportLine("may overlap", words, {"disabled_collisions": pairs})
+    yield ReportLine("licence", file.licence, {"licence": file.licence})
+    corners = body.corners(body.parts, hand.posture(0.0))
+    sides = vector(np.ptp(corners, axis=0)) if len(corners) else (0.0, 0.0, 0.0)
+    yield ReportLine("size", f"{lengths_in_words(sides)} m, open", {"extents": sides})
+    yield ReportLine("mass", f"{body.robot.mass:.4g} kg", {"mass": body.robot.mass})
+    parts = sum(map(len, body.parts.values()))
+    yield ReportLine("shapes", f"{parts} convex parts", {"parts": parts})
 
 
 def _hollow_notes(hand: Urdf) -> Iterator[str]:
@@ -367,7 +300,7 @@ def _hollow_notes(hand: Urdf) -> Iterator[str]:
         )
 
 
-def examine_gripper(name: str) -> GripperReport:
+def examine_gripper(name: str) -> AssetReport:
     """Examine a gripper of the catalog, or a gripper's file; `UnknownName` if it is neither.
 
     A reference hand is as its authors published it, with limits that have a meaning of their own: faults of

@@ -15,7 +15,7 @@ import typer
 
 from qdgrasp_assets import catalog, ycb
 from qdgrasp_assets.asset_paths import named_path
-from qdgrasp_assets.asset_report import AssetReport, ObjectReport, inspect_object
+from qdgrasp_assets.asset_report import AssetReport, inspect_object
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
 from qdgrasp_assets.grippers.gripper import Gripper
@@ -34,7 +34,7 @@ from qdgrasp_tools.local.progress import progress_messages
 
 def print_findings(found: AssetReport, *, as_json: bool = False) -> None:
     """Print a report as a table or as JSON."""
-    echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+    echo(json.dumps(found.values) if as_json else found.table)
 
 
 def refuse_faulty(kind: str, found: AssetReport, why: str = "cannot be used as it is") -> None:
@@ -201,7 +201,7 @@ def check_object(
 
 
 def _made(
-    found: ObjectReport, draft: ObjectDraft, path: Path, drawing: Path | None, writing: OutFile | None
+    found: AssetReport, draft: ObjectDraft, path: Path, drawing: Path | None, writing: OutFile | None
 ) -> Iterator[str]:
     if drawing is not None:
         yield f"drawn: {_drawn(found, draft, path, drawing)}"
@@ -210,10 +210,10 @@ def _made(
         yield f"written: {writing.path}, in metres, with {counted(len(draft.mesh.faces), 'triangle')}"
 
 
-def _drawn(found: ObjectReport, draft: ObjectDraft, path: Path, folder: Path) -> Path:
-    if found.convex is None:
+def _drawn(found: AssetReport, draft: ObjectDraft, path: Path, folder: Path) -> Path:
+    if not found.values.get("convex"):
         return draw_asset(draft.mesh, path.name, folder)
-    facts = file_facts(RunSpec(gripper="", object=str(path), mass=found.mass or 1.0))
+    facts = file_facts(RunSpec(gripper="", object=str(path), mass=1.0))
     body = ObjectModel(**vars(facts), **vars(geometry_of(draft)))
     return draw_asset(body, path.name, folder)
 

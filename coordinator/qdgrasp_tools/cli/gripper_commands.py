@@ -144,7 +144,7 @@ def check(
     else:
         found, hand = examine_gripper(name), None
     asset_commands.print_findings(found, as_json=as_json)
-    if picture is not None and (hand is not None or found.extents is not None):
+    if picture is not None and (hand is not None or found.facts):
         drawn = asset_commands.draw_asset(hand or find_gripper(name), name, picture)
         echo(f"drawn: {drawn}", err=as_json)
     asset_commands.refuse_faulty("gripper", found)

@@ -76,7 +76,7 @@ def test_a_hand_in_the_style_of_menagerie_is_one_that_can_be_used(tmp_path):
     assert is_mjcf(path)
     found, gripper = examine_urdf(path, "jaw")
     assert found.faults == ()
-    assert (found.base_link, found.fingers, found.followers) == ("palm", 2, 1)
+    assert [found.values[key] for key in ("base_link", "fingers", "followers")] == ["palm", 2, 1]
     assert gripper.file.approach_axis == (0.0, 0.0, 1.0)
     assert gripper.file.jaw.opening == pytest.approx(0.08, abs=1e-3)
     assert gripper.on_carrier("paper").urdf.count("<box") == 3  # what is only seen may be missing
