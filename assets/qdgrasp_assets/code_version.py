@@ -6,8 +6,7 @@ process without arrays can state the version of its machine.
 
 import hashlib
 from functools import cache
-from importlib.metadata import version
-from importlib.util import find_spec
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 MODULES = (
@@ -20,12 +19,14 @@ PACKAGES = ("embreex", "fast-simplification", "numpy", "scipy", "trimesh")
 
 @cache
 def building_code() -> str:
-    """Return the digest of the code that checks meshes and builds shapes, and of its packages."""
-    specs = [find_spec(f"{__package__}.{name}") for name in MODULES]
-    files = [file_digest(Path(spec.origin)) for spec in specs if spec and spec.origin]
-    return hashlib.sha256(
-        " ".join((*files, *(f"{name} {version(name)}" for name in PACKAGES))).encode()
-    ).hexdigest()
+    """Return the digest of the code that checks meshes and builds shapes; "" where a package is missing."""
+    folder = Path(__file__).parent
+    files = [file_digest(folder / f"{name.replace('.', '/')}.py") for name in MODULES]
+    try:
+        packages = [f"{name} {version(name)}" for name in PACKAGES]
+    except PackageNotFoundError:
+        return ""
+    return hashlib.sha256(" ".join((*files, *packages)).encode()).hexdigest()
 
 
 def file_digest(path: Path) -> str:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 import shutil
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from qdgrasp_assets import object_shape
+from qdgrasp_assets import code_version, object_shape
 from qdgrasp_assets.catalog import assemble_scene, build_scene
 from qdgrasp_assets.object_shape import (
     ObjectShape,
@@ -141,6 +142,14 @@ def test_the_key_is_another_for_all_that_the_shape_depends_on(tmp_path, monkeypa
     tasks.append(shape_task(spec))
     assert all(tasks)
     assert len({task.key for task in tasks if task}) == len(tasks)
+
+
+def test_an_installation_without_a_package_builds_no_shapes(monkeypatch):
+    def not_there(name: str) -> str:
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(code_version, "version", not_there)
+    assert not code_version.building_code.__wrapped__()
 
 
 def buffered(folder: Path, uri: str = "gltf_buffer_0.bin") -> RunSpec:
