@@ -118,7 +118,8 @@ def worker(
             return
         configure_logging("worker")
         if workers > 1:
-            pool = WorkerPool(workers, [*sys.argv[1:], "--workers", "1"], grace=grace)
+            folder = ["--security", str(security)] if security else []
+            pool = WorkerPool(workers, [*sys.argv[1:], "--workers", "1", *folder], grace=grace)
             pool.run(stop)
             raise typer.Exit(stop.exit_code or pool.exit_code)
         from qdgrasp_worker.runtime.simulator_supervisor import (

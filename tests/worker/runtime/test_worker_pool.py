@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from qdgrasp_protocol.process import DiesAgain, ProcessExit, ProcessSupervisor, RestartPolicy, Stop
+from qdgrasp_protocol.session import SECURITY_VARIABLE
 from qdgrasp_worker import cli
 from qdgrasp_worker.cli import WorkerPool, app
 
@@ -40,6 +41,19 @@ def test_a_worker_is_given_up_that_left_is_hopeless_or_dies_again_and_again(code
             pool.on_death(processes, ProcessExit("worker-0", code), 0.0)
     assert min(processes.policy.deaths, 5) == restarts
     assert pool.exit_code == exit_code
+
+
+def test_workers_get_the_certificates_that_a_variable_names(tmp_path, monkeypatch):
+    given: list[list[str]] = []
+
+    class Noted(WorkerPool):
+        def run(self, stop: Stop) -> None:
+            given.append(self._arguments)
+
+    monkeypatch.setattr(cli, "WorkerPool", Noted)
+    CliRunner().invoke(app, ["--workers", "2"], env={SECURITY_VARIABLE: str(tmp_path)})
+    assert given
+    assert given[0][-2:] == ["--security", str(tmp_path)]
 
 
 MEMBER = """
