@@ -19,7 +19,7 @@ PACKAGES = ("embreex", "fast-simplification", "numpy", "scipy", "trimesh")
 
 @cache
 def building_code() -> str:
-    """Return the digest of the code that checks meshes and builds shapes; "" where a package is missing."""
+    """Return the digest of the code that builds shapes; "" where a package of it is missing."""
     folder = Path(__file__).parent
     files = [file_digest(folder / f"{name.replace('.', '/')}.py") for name in MODULES]
     try:
