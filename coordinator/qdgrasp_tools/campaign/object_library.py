@@ -24,6 +24,9 @@ from qdgrasp_protocol.spec import ObjectRecord, run_spec
 MANIFEST_FORMATS = (".csv", ".parquet")
 PREPARATIONS = tuple(field.name for field in structs.fields(MeshPreparation))
 NOTES = tuple(field.name for field in structs.fields(ObjectRecord))
+NUMBERS = ("mass", "density", "friction", "scale")
+COLUMNS = ("file", "unit", *NUMBERS, *NOTES, *PREPARATIONS)
+"""Columns of a manifest; all but `file` may be missing or empty."""
 MASS_DIGITS = 6  # Significant digits of a mass that follows from a density
 GREATEST_MASS = 1000  # Greatest mass that a spec allows [kg]
 NO_MASS = "it has no mass; say what it weighs with --mass or --density, or in a manifest"
@@ -63,29 +66,6 @@ class Library:
     skipped: tuple[SkippedObject, ...] = ()
 
 
-class ManifestRow(Struct, kw_only=True):
-    """The columns of a manifest; all but `file` may be missing or empty."""
-
-    file: str
-    id: str | int = ""
-    unit: str | None = None
-    scale: float | None = None
-    mass: float | None = None
-    density: float | None = None
-    friction: float | None = None
-    category: str | None = None
-    licence: str | None = None
-    source: str | None = None
-    split: str | None = None
-    geometry: str | None = None
-    largest: bool | None = None
-    fill: bool | None = None
-    remesh: bool | None = None
-    hull: bool | None = None
-    glued: bool | None = None
-    simplify: int | None = None
-
-
 class LibraryRow(Struct, frozen=True, kw_only=True):
     """One object as a library names it; None: not said."""
 
@@ -100,6 +80,12 @@ class LibraryRow(Struct, frozen=True, kw_only=True):
     about: ObjectRecord | None = None
     fault: str = ""
     """Reason why the row itself cannot be used."""
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Its values by the keys of a spec, without the mass: plain ones."""
+        said = {key: getattr(self, key) for key in ("scale", "friction", "mesh", "about")}
+        return {key: msgspec.to_builtins(value) for key, value in said.items() if value is not None}
 
 
 def is_manifest(path: Path) -> bool:
@@ -129,8 +115,8 @@ def read_library(where: Path, rules: LibraryRules, tell: Tell = ignore_progress)
         if fault := mesh_fault(checked, mass):
             faults[row.name] = fault
             continue
-        said = {"mass": mass, "scale": scale, "friction": row.friction, "mesh": mesh, "about": row.about}
-        objects[str(row.file)] = {k: msgspec.to_builtins(v) for k, v in said.items() if v is not None}
+        used = structs.replace(row, scale=scale, mesh=mesh)
+        objects[str(row.file)] = {"mass": mass} | used.values
     if faults and not (rules.skip_unusable and objects):
         raise UnusableMeshes(len(rows), faults)
     files = {row.name: str(row.file) for row in rows}
@@ -210,8 +196,8 @@ def _manifest_rows(path: Path) -> list[LibraryRow]:
     if not tables:
         raise InputError(f"The manifest '{path}' names no object: it needs a row for each, with its file.")
     for key in dict.fromkeys(key for table in tables for key in table):
-        if key not in ManifestRow.__struct_fields__:
-            raise UnknownKey(str(path), str(key), ManifestRow.__struct_fields__)
+        if key not in COLUMNS:
+            raise UnknownKey(str(path), str(key), COLUMNS)
     rows: dict[str, LibraryRow] = {}
     for number, table in enumerate(tables, 1):
         # missing numbers of a Parquet table may be NaN
@@ -241,21 +227,18 @@ def _row(table: Mapping[str, Any], folder: Path) -> LibraryRow:
     relative = Path(str(table["file"]))
     id_ = str(table.get("id", "")) or relative.with_suffix("").as_posix()
     row = LibraryRow(name=id_, file=(folder / relative).resolve())
+    notes, mesh, said = (
+        {key: table[key] for key in keys if key in table} for keys in (NOTES, PREPARATIONS, NUMBERS)
+    )
     try:
-        values = msgspec.convert(table, ManifestRow, strict=False)
         for one, other in (("mass", "density"), ("unit", "scale")):
-            if None not in (getattr(values, one), getattr(values, other)):
+            if {one, other} <= table.keys():
                 raise InputError(f"its row says {one} and {other}; say one of them")
-        said = {key: value for key, value in structs.asdict(values).items() if value is not None}
-        notes, mesh = ({key: said[key] for key in said if key in keys} for keys in (NOTES, PREPARATIONS))
-        known = {"gripper": "", "object": "", "about": notes | {"id": id_}}
-        known |= ({"mesh": mesh} if mesh else {}) | {key: said[key] for key in said if key == "friction"}
-        spec = run_spec(known, "row")
-        units = values.scale if values.unit is None else values.unit
-        scale = None if units is None else scale_of(units)
+        if "unit" in table:
+            said["scale"] = scale_of(str(table["unit"]))
+        said |= {"about": notes | {"id": id_}} | ({"mesh": mesh} if mesh else {})
+        found = msgspec.convert(said | {"name": row.name, "file": row.file}, LibraryRow, strict=False)
+        run_spec({"gripper": "", "object": ""} | found.values, "row")
     except (msgspec.ValidationError, InputError) as error:
         return structs.replace(row, fault=str(error).rstrip("."))
-    return structs.replace(
-        row, mass=values.mass, density=values.density, friction=values.friction, scale=scale,
-        mesh=spec.mesh, about=spec.about,
-    )  # fmt: skip
+    return found

@@ -105,9 +105,9 @@ BAD_ROWS = [
     ({"file": "b/part.stl", "mass": 1, "unit": "ell"}, "unit"),
     (
         {"file": "b/part.stl", "mass": 1, "simplify": "1.5"},
-        "Expected `int | null`, got `str` - at `$.simplify`",
+        "Expected `int | null`, got `str` - at `$.mesh.simplify`",
     ),
-    ({"file": "b/part.stl", "mass": 1, "hull": "perhaps"}, "Expected `bool | null`, got `str` - at `$.hull`"),
+    ({"file": "b/part.stl", "mass": 1, "hull": "perhaps"}, "Expected `bool`, got `str` - at `$.mesh.hull`"),
     ({"file": "b/part.stl", "mass": 1, "friction": -1}, "friction must be a number greater than 0"),
     ({"file": "b/part.stl", "mass": 5000}, "at most 1000 kg"),
 ]
