@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
 from qdgrasp_assets.grippers.hand_geometry import free_posture
-from qdgrasp_assets.grippers.hand_model import followers
-from qdgrasp_assets.grippers.urdf import Urdf
 from qdgrasp_assets.scene import SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
@@ -32,32 +30,6 @@ HAND_FRICTION = 0.5  # Lateral friction of the hand's links, Bullet's own; it mu
 NEAR = 5e-4  # A contact without force counts up to this distance [m]; Bullet reports them from 1 to 2 mm on
 HOLD = 0.1, 1.0  # Gains with which a joint is held and closed, Bullet's own
 FREE_POSTURES = 13  # Places of free joints at which links are looked at: every 15 deg of Barrett's spread
-
-
-class Coupling(NamedTuple):
-    """A joint that a belt or gears couple to another one: offset + ratio * leader."""
-
-    joint: str
-    leader: str
-    offset: float
-    ratio: float
-
-
-def couplings(robot: Urdf, gripper: SceneGripper) -> Iterator[Coupling]:
-    """Yield the constraints of joints that close together.
-
-    The joints of a jaw close by the same share; others follow where the URDF says that they mimic.
-    """
-    driven = {joint.name: joint for joint in gripper.joints if joint.driven and joint.opened != joint.closed}
-    if gripper.jaw:
-        first, *others = driven.values()
-        for joint in others:
-            ratio = (joint.closed - joint.opened) / (first.closed - first.opened)
-            yield Coupling(joint.name, first.name, joint.opened - ratio * first.opened, ratio)
-        return
-    for name, mimic in followers(robot).items():
-        if {name, mimic.leader} <= driven.keys():
-            yield Coupling(name, mimic.leader, mimic.offset, mimic.multiplier)
 
 
 class Contact(NamedTuple):

@@ -15,12 +15,14 @@ from itertools import combinations, takewhile
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import Floats, unreadable_as
 from qdgrasp_assets.geometry.voxels import Hull, convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import collision_elements, collision_shape, part_corners
 from qdgrasp_assets.grippers.hand_geometry import neighbours, rigid_pieces
-from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, scene_robot
+from qdgrasp_assets.scene import SceneGripper
 
 Position = TypeVar("Position", float, Floats)
 
@@ -52,6 +54,34 @@ def followers(robot: Urdf) -> dict[str, MimicJoint]:
     moving = {joint.name for joint in robot.joints if joint.moves}
     found = {name: _root_leader(name, mimics) for name in mimics if name in moving}
     return {name: follower for name, follower in found.items() if follower.leader in moving - {name}}
+
+
+def couplings(robot: Urdf, gripper: SceneGripper) -> dict[str, MimicJoint]:
+    """Return the joints that a belt or gears couple to others that close with them, by name.
+
+    The joints of a jaw close by the same share; others follow where the URDF says that they mimic.
+    """
+    driven = {joint.name: joint for joint in gripper.joints if joint.driven and joint.opened != joint.closed}
+    if not gripper.jaw:
+        found = followers(robot).items()
+        return {name: each for name, each in found if {name, each.leader} <= driven.keys()}
+    first, *others = driven.values()
+    ratios = [(joint.closed - joint.opened) / (first.closed - first.opened) for joint in others]
+    return {
+        joint.name: MimicJoint(first.name, ratio, joint.opened - ratio * first.opened)
+        for joint, ratio in zip(others, ratios, strict=True)
+    }
+
+
+def coupling_error(gripper: SceneGripper, postures: NDArray[np.float32]) -> float | None:
+    """Return how far coupled joints are off in postures (n, j), at most [rad or m].
+
+    None: no joint is coupled.
+    """
+    joints = {joint.name: column for joint, column in zip(gripper.joints, postures.T, strict=True)}
+    found = couplings(scene_robot(gripper), gripper).items()
+    errors = [joints[name] - each.position(joints[each.leader]) for name, each in found]
+    return float(np.abs(errors).max(initial=0.0)) if errors else None
 
 
 MOST_LEFT_OUT = 0.5

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from msgspec import field, structs
 
+from qdgrasp_assets.grippers.hand_model import coupling_error
 from qdgrasp_coordinator.metrics.cells import niches
 from qdgrasp_coordinator.metrics.job_status import (
     MOST_NAMES,
@@ -37,6 +38,7 @@ from qdgrasp_coordinator.storage.outputs import CAMPAIGN, SKIPPED
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.tables import aligned_text
 from qdgrasp_protocol.errors import UnknownName
+from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_file import read_campaign
@@ -82,6 +84,8 @@ class RunSummary(RunListing, frozen=True, kw_only=True):
     complete: bool
     collision_source: str
     """Source of the object's convex parts."""
+    coupling_error: float | None
+    """Farthest that a coupled joint is from its place in grasps that hold [rad or m]; None: there is none."""
     platform: dict[str, str]
     in_both: dict[str, HeldShare] = field(default_factory=dict)
     """Of grasps that hold, how many do so in another engine too, by its name, where the run has a table."""
@@ -118,10 +122,13 @@ def run_summary(folder: RunFolder) -> RunSummary:
     with folder.journal() as journal:
         plan, found, reader = TrialPlan.of(spec), RunCounter(spec), genome_reader(folder)
         metrics, keys, outcomes = SuccessMetrics(plan), [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)]
+        scene = folder.scene()
+        postures = [np.zeros((0, len(scene.gripper.joints)), np.float32)]
         for part in find_successes(found.counting(journal.blocks()), plan):
             metrics.add(part)
             keys.append(niches(part.rows, reader))
             outcomes.append(part.rows["outcome"])
+            postures.append(part.rows["joints"][outcomes[-1] == Outcome.HELD])
         totals, hosts = found.totals, Counter[str]()
         for _, n, _, host in journal.makers():
             hosts[host] += n
@@ -141,7 +148,8 @@ def run_summary(folder: RunFolder) -> RunSummary:
             cpu_seconds=journal.cpu_seconds,
             wall_seconds=journal.wall_seconds,
             complete=found.finished is not None,
-            collision_source=folder.scene().object.collision_source,
+            collision_source=scene.object.collision_source,
+            coupling_error=coupling_error(scene.gripper, np.concatenate(postures)),
             platform=journal.platform,
             in_both=held_shares(folder),
             rows_by_host=dict(hosts.most_common()),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.rotation import Floats, multiply, running_sum
 from qdgrasp_assets.gripper_setup.draft import original_base
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
+from qdgrasp_assets.grippers.hand_model import coupling_error
 from qdgrasp_assets.grippers.urdf import scene_robot
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject, Vector, vector
 from qdgrasp_coordinator.metrics.grasp_quality import NO_LIMITS, GraspLimits, taken_mask, takes_held
@@ -260,7 +261,7 @@ def grasp_metadata(chosen: ChosenGrasps, frame: Frame, journal: Journal) -> Gras
     hand, body = scene.gripper, scene.object
     file = Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else ""
     check, origin = grasps.approach, (0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh
-    spec = _public_spec(grasps.spec)
+    spec, error = _public_spec(grasps.spec), coupling_error(hand, grasps.joints)
     runs = (SourceRun(run=grasps.run, digest=journal_digest(journal), spec=spec),)
     return GraspMetadata(
         qdgrasp=version("qdgrasp"),
@@ -272,6 +273,7 @@ def grasp_metadata(chosen: ChosenGrasps, frame: Frame, journal: Journal) -> Gras
         gripper_licence=_printable(hand.licence),
         gripper_sha256=part_digest(hand),
         fixed_joints=fixed_joints(grasps.spec.gripper),
+        coupling_error=UNSET if error is None else error,
         original_base=scene_original_base(hand) or UNSET,
         object=body.name,
         object_file=file,

@@ -153,6 +153,8 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     """Digest of its part of a scene bundle."""
     fixed_joints: dict[str, float] = {}
     """Joints of the real hand that stood still, positions [rad or m]; named among the joints."""
+    coupling_error: float | UnsetType = UNSET
+    """Farthest that a joint which follows another is from its place in these grasps [rad or m]."""
     original_base: OriginalBase | UnsetType = UNSET
     """The base link of the hand's own URDF in `gripper_frame`, where that link was added to the hand.
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from tests.worker.test_physical_episode import ABOVE, HANDS
 
+from qdgrasp_assets.grippers.hand_model import MimicJoint, coupling_error, couplings
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.mujoco_model import SceneModel, couplings, reach_of
+from qdgrasp_worker.engines.mujoco_model import SceneModel, reach_of
 from qdgrasp_worker.engines.mujoco_simulation import SimulationDiverged
 from qdgrasp_worker.engines.mujoco_world import MujocoPhysicalWorld, MujocoShakenWorld
 from qdgrasp_worker.episode import ShakenEpisode
@@ -105,9 +106,13 @@ def test_joints_are_coupled_where_the_urdf_says_that_they_mimic(scene):
         for name, closed in (("a", 0.5), ("b", 1.1))
     )
     hand = msgspec.structs.replace(scene.gripper, joints=(one, two), jaw=None)
-    assert list(couplings(robot, hand)) == [("b", "a", 0.1, 2.0)]
+    assert couplings(robot, hand) == {"b": MimicJoint("a", 2.0, 0.1)}
     free = msgspec.structs.replace(hand, joints=(one, msgspec.structs.replace(two, driven=False)))
-    assert list(couplings(robot, free)) == []
+    assert couplings(robot, free) == {}
+    hand = msgspec.structs.replace(hand, urdf=URDF_OF_A_LINKAGE.encode())
+    postures = np.array([[0.2, 0.5], [0.3, 0.68]], np.float32)  # b is to be at 0.5, and at 0.7
+    assert coupling_error(hand, postures) == pytest.approx(0.02, abs=1e-6)
+    assert coupling_error(hand, postures[:0]) == 0.0
 
 
 @pytest.mark.parametrize("phase", ["closing", "shaking"])

@@ -12,7 +12,7 @@ import numpy as np
 
 from qdgrasp_assets.geometry.rotation import facing
 from qdgrasp_assets.grippers.hand_geometry import neighbours
-from qdgrasp_assets.grippers.hand_model import followers
+from qdgrasp_assets.grippers.hand_model import couplings, followers
 from qdgrasp_assets.grippers.urdf import Urdf, scene_robot
 from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_worker.decoder import HandPose
@@ -45,7 +45,6 @@ from qdgrasp_worker.world import (
     ShakenWorld,
     Touch,
     WorldState,
-    couplings,
     free_postures,
     seen_from,
 )
@@ -74,15 +73,17 @@ class BulletWorld(GraspWorld):
     def _prepare(self, gripper: SceneGripper) -> None:
         """Couple the joints of a hand with followers; a jaw of two slides is centred by its targets."""
         bullet, hand, robot = self._bullet, self._hand, scene_robot(gripper)
-        found = list(couplings(robot, gripper)) if followers(robot) else []
+        found = couplings(robot, gripper) if followers(robot) else {}
         slides = {joint.name for joint in robot.joints if joint.kind == "prismatic"}
-        if [coupling.joint in slides for coupling in found] == [True]:
-            found = []
-        self._led = frozenset(coupling.joint for coupling in found)
-        for joint, leader, offset, ratio in found:  # it holds joint - ratio * leader at the offset
-            ends = hand.body, hand.moving[joint], hand.body, hand.moving[leader]
+        if len(found) == 1 and found.keys() <= slides:
+            found = {}
+        self._led = frozenset(found)
+        for name, led in found.items():  # it holds joint - ratio * leader at the offset
+            ends = hand.body, hand.moving[name], hand.body, hand.moving[led.leader]
             gear = bullet.createConstraint(*ends, bullet.JOINT_GEAR, [1.0, 0.0, 0.0], STILL, STILL)
-            bullet.changeConstraint(gear, gearRatio=-ratio, relativePositionTarget=offset, **GEAR)
+            bullet.changeConstraint(
+                gear, gearRatio=-led.multiplier, relativePositionTarget=led.offset, **GEAR
+            )
 
     def close(self) -> None:
         """Leave Bullet and free the world; closing twice is allowed."""

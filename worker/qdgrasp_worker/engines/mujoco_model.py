@@ -20,12 +20,12 @@ from qdgrasp_assets.geometry.mesh import parse_parts
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.geometry.voxels import convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import attribute_numbers, check_convex, geometry_corners
+from qdgrasp_assets.grippers.hand_model import couplings
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, parse_origin, scene_robot
 from qdgrasp_assets.scene import Joint, Scene, SceneGripper
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_worker.contact_margin import HULL_MARGIN
 from qdgrasp_worker.physical_episode import TABLE_HALF, FingerDrive
-from qdgrasp_worker.world import couplings
 
 DETECTION_GAP = 5e-4  # Extra distance at which contacts are found; two shapes add theirs [m]
 LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # For a link that has none in Bullet [kg, kg m2]
@@ -200,7 +200,7 @@ class SceneModel:
         self.links = hand_links(self.robot, gripper)
         self.joints = [self._joint(joint) for joint in gripper.joints]
         """The joints of the hand that are commanded, in the gripper's order."""
-        self.couplings = list(couplings(self.robot, gripper))
+        self.couplings = couplings(self.robot, gripper)
         target = scene.object
         hulls = [part.vertices for part in parse_parts(target.collision.decode())]
         shape = mesh_shape(".obj", np.eye(4), hulls)
@@ -254,9 +254,9 @@ class SceneModel:
             meeting = {"contype": "0", "conaffinity": "3", "friction": PAIR_FRICTION}
             ET.SubElement(table, "geom", meeting, type="box", size=words(TABLE_HALF))
         equality = ET.SubElement(root, "equality")
-        for joint, leader, offset, ratio in self.couplings:
-            polynomial = words([offset, ratio, 0.0, 0.0, 0.0])
-            ET.SubElement(equality, "joint", BELT, joint1=joint, joint2=leader, polycoef=polynomial)
+        for name, led in self.couplings.items():
+            polynomial = words([led.offset, led.multiplier, 0.0, 0.0, 0.0])
+            ET.SubElement(equality, "joint", BELT, joint1=name, joint2=led.leader, polycoef=polynomial)
         return root
 
     def _add_link(

@@ -69,7 +69,7 @@ class Simulation:
 
     def coupled(self, closing: Sequence[str]) -> list[bool]:
         """Return which of the couplings hold while these joints close."""
-        return [{coupling.joint, coupling.leader} <= {*closing} for coupling in self._couplings]
+        return [{name, led.leader} <= {*closing} for name, led in self._couplings.items()]
 
     def place(self, position: Floats, quaternion: Floats) -> None:
         """Put the object at a position (3,) [m] and quaternion (4,)."""
