@@ -9,11 +9,11 @@ import pytest
 import structlog
 from hypothesis import settings
 from tests.coordinator.scenes import SceneMaker, made_scene
+from tests.fakes.memory_bus import MemoryNetwork
 from tests.fakes.recorder import FakeCoordinator
 from xdist.scheduler import LoadScopeScheduling
 
 from qdgrasp_coordinator.storage.journal_writer import JournalWriter
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 
 settings.register_profile("shared", deadline=None)  # machines are shared: an example's time means nothing
 settings.load_profile("shared")

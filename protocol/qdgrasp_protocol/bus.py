@@ -1,7 +1,7 @@
 """The interface of the message bus, with the calls that qdgrasp needs.
 
-`zenoh_bus` carries it over Eclipse Zenoh, `memory_bus` is its in-memory twin; one contract test class runs
-over both. Callbacks come from threads of the bus: they put what they got on a queue and return. Scene bundles
+`zenoh_bus` carries it over Eclipse Zenoh; one contract test class runs over that and the in-memory twin of
+the tests. Callbacks come from threads of the bus: they put what they got on a queue and return. Scene bundles
 are sent by their sha256, a query per chunk (docs/bus.md).
 """
 

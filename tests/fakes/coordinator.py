@@ -9,13 +9,13 @@ from typing import Self
 
 import msgspec
 from tests.common import PATIENCE
+from tests.fakes.memory_bus import MemoryNetwork
 from tests.fakes.messages import put
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Channel, Query, Sample, answer_chunk
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Control, Heartbeat, Join, Joined, Result, Work
 
 

@@ -8,6 +8,7 @@ from math import inf
 
 from tests.common import PATIENCE, wait_for
 from tests.coordinator.scheduler.search_plans import SHAPE, Plan
+from tests.fakes.memory_bus import MemoryNetwork
 from tests.fakes.messages import made_id
 from tests.fakes.recorder import JOB
 from tests.fakes.service_thread import ServiceThread
@@ -24,7 +25,6 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus
 from qdgrasp_protocol.errors import DiskFull, RunFailed, TookOver
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Opened, OpenRun, Order, OrderReply
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.spec import RunSpec

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import structs
 from tests.common import PATIENCE, wait_for
+from tests.fakes.memory_bus import MemoryNetwork
 from tests.fakes.messages import open_run, put
 from tests.fakes.service_thread import ServiceThread
 
@@ -20,7 +21,6 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, Sample
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Log, Message, Open, Opened, OpenRun, Recordable, Recorded
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 from tests.common import PATIENCE, free_port, own_endpoint
+from tests.fakes.memory_bus import MemoryBus, MemoryNetwork
 
 from qdgrasp_protocol import messages, session
 from qdgrasp_protocol.bus import (
@@ -29,7 +30,6 @@ from qdgrasp_protocol.bus import (
 )
 from qdgrasp_protocol.errors import BusError, EndpointError, Faulty, MessageError, NoReply, Refused
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryBus, MemoryNetwork
 from qdgrasp_protocol.messages import Chunk
 from qdgrasp_protocol.zenoh_bus import ZenohBus, free_endpoint
 

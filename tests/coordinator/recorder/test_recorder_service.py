@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 from tests.common import PATIENCE, wait_for
+from tests.fakes.memory_bus import MemoryNetwork
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, FakeCoordinator, make_rows, recording
 
 from qdgrasp_coordinator.recorder import recorder_service
@@ -13,7 +14,6 @@ from qdgrasp_protocol import messages
 from qdgrasp_protocol.bus import Bus, answer_chunk, fetch_bundle
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Failure, Recordable
 from qdgrasp_protocol.rows import RowShape
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.coordinator.scheduler.search_plans import Plan, evaluate, reference
 from tests.fakes.job import FakeRunQueue
+from tests.fakes.memory_bus import MemoryNetwork
 from tests.fakes.messages import KEYS_BY_ID, made_id
 from tests.fakes.recorder import JOB
 from tests.fakes.service_thread import ServiceThread
@@ -18,7 +19,6 @@ from qdgrasp_coordinator.scheduler import auditor
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
 from qdgrasp_coordinator.storage.journal import Journal
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import TRUST_VARIABLE, worker_id, worker_key
 from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.rows import Outcome, Rows

@@ -3,6 +3,7 @@ import itertools
 import numpy as np
 import pytest
 from tests.coordinator.scheduler.search_plans import SHAPE
+from tests.fakes.memory_bus import MemoryNetwork
 from tests.fakes.messages import open_run
 
 from qdgrasp_coordinator.scheduler.recorder_client import (
@@ -17,7 +18,6 @@ from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_protocol.bus import Query
 from qdgrasp_protocol.errors import InputError, RecorderFellBack, Refused, TookOver
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Failure
 from qdgrasp_protocol.rows import RowShape
 

@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
 from tests.common import PATIENCE
+from tests.fakes.memory_bus import MemoryNetwork
 from tests.tools.monitor.sample_jobs import figures, run, values
 
 from qdgrasp_coordinator.metrics.job_status import to_json
 from qdgrasp_protocol.bus import Bus, Channel, Query
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.monitor.feed import Feed
 from qdgrasp_tools.monitor.job_model import JobView

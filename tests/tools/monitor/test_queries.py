@@ -8,6 +8,7 @@ import pytest
 from msgspec import structs
 from tests.coordinator.recorded_campaigns import BUDGET, record_campaign, rows_of
 from tests.coordinator.recorded_runs import random_rows, record_spec, spoil_block, success_mask, write_journal
+from tests.fakes.memory_bus import MemoryNetwork
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SPEC, FakeCoordinator, make_rows, recording
 
 from qdgrasp_coordinator.metrics.job_status import RunListings, from_json
@@ -16,7 +17,6 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.bus import fetch_bundle
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.monitor import queries
 from qdgrasp_tools.monitor.queries import RunIndex

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.recorded_runs import random_rows, record, success_mask
+from tests.fakes.memory_bus import MemoryNetwork
 
 from qdgrasp_coordinator.metrics.run_stats import count_rows
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, QdgraspError, UnknownName
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_tools.monitor import queries
 from qdgrasp_tools.monitor.queries import QueryServer
 from qdgrasp_tools.monitor.records import BusRecords, FolderIndex, FolderRecords, Records

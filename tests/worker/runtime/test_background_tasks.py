@@ -9,6 +9,7 @@ from queue import SimpleQueue
 import pytest
 import trimesh
 from tests.common import PATIENCE, wait_for
+from tests.fakes.memory_bus import MemoryNetwork
 
 from qdgrasp_assets.code_version import building_code
 from qdgrasp_assets.object_shape import ShapeStore, unpack_shape
@@ -16,7 +17,6 @@ from qdgrasp_protocol.build_messages import Build, MeshFile, ShapeTask
 from qdgrasp_protocol.bus import Query, answer_file_chunk
 from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.keys import Keys, last_chunk
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_worker.runtime import background_tasks
 from qdgrasp_worker.runtime.background_tasks import BuildEnded, BuilderClient
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 from tests.fakes.coordinator import LeasingCoordinator
+from tests.fakes.memory_bus import MemoryNetwork
 from tests.fakes.worker import GRACE, RunningWorker
 from tests.worker.runtime import scripted_simulator
 from tests.worker.runtime.scripted_simulator import DAWDLE, HANG, WAIT, work
 
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.memory_bus import MemoryNetwork
 from qdgrasp_protocol.messages import Control, Work
 
 

@@ -1,4 +1,4 @@
-"""The in-memory twin of the bus, with links that can be cut: for tests and one-process jobs.
+"""The in-memory twin of the bus, with links that can be cut.
 
 A message is delivered in the thread that puts it, before `put` returns, to subscribers in the order they
 subscribed: one thread that acts sees everything in one order. A query is answered in a thread of its own,
