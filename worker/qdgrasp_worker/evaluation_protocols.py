@@ -137,29 +137,6 @@ class Shake:
         return self.amplitude, -self.amplitude, 0.0
 
 
-@dataclass(frozen=True)
-class DriveGains:
-    """Scale-free gains of the drives of one kind of joint.
-
-    With the greatest force or torque `limit` of a drive kp = limit / lag, its reflected inertia is
-    kp / frequency^2, and kd = 2 DAMPING_RATIO kp / frequency.
-    """
-
-    lag: float
-    """Distance of a joint from its target at which its drive gives its limit [m or rad]."""
-    frequency: float
-    """Frequency of the drive's own motion, without friction [rad/s]."""
-    speed: float
-    """Closing speed of drives for which none is known [m/s or rad/s]."""
-    rest_speed: float
-    """Speed below which a joint rests [m/s or rad/s]."""
-
-
-DAMPING_RATIO = 0.7
-SLIDING = DriveGains(lag=rows.SLIDING_LAG, frequency=220.0, speed=0.1, rest_speed=2e-3)
-TURNING = DriveGains(lag=rows.TURNING_LAG, frequency=55.0, speed=1.0, rest_speed=0.02)
-
-
 PUSHES = (
     (1.0, 0.0, 0.0),
     (-1.0, 0.0, 0.0),

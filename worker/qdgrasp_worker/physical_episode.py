@@ -23,14 +23,13 @@ from math import acos, dist, inf
 from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.grippers.urdf import UrdfJoint
 from qdgrasp_assets.scene import Joint, RestingPose, SceneGripper, Vector
-from qdgrasp_protocol.rows import JAW_PRELOAD
+from qdgrasp_protocol.rows import DAMPING_RATIO, JAW_PRELOAD, DriveGains
 from qdgrasp_worker.contact_margin import HULL_MARGIN
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode
-from qdgrasp_worker.evaluation_protocols import DAMPING_RATIO, PUSHES, SLIDING, TURNING, Lift, Physics
+from qdgrasp_worker.evaluation_protocols import PUSHES, Lift, Physics
 from qdgrasp_worker.world import GraspWorld, Quaternion
 
-SLIDING_EFFORT = 70.0  # Force of a sliding joint whose drive is not known, at most: Franka hand [N]
 FINGERTIP_FORCE = 15.0  # Force at the fingertip of a turning joint whose drive is not known, at most [N]
 
 
@@ -61,8 +60,8 @@ class FingerDrive:
     def of(cls, joint: Joint, found: UrdfJoint, reach: float, *, in_jaw: bool, haste: float) -> "FingerDrive":
         """The drive of a joint that reaches `reach` [m] to the farthest point that it moves."""
         slides, limits = found.kind == "prismatic", (found.lower, found.upper)
-        gains = SLIDING if slides else TURNING
-        known = SLIDING_EFFORT if slides else FINGERTIP_FORCE * reach
+        gains = DriveGains.of(found.kind)
+        known = gains.effort if slides else FINGERTIP_FORCE * reach
         limit = joint.rated_effort or (min(joint.effort, known) if joint.effort > 0 else known)
         stiffness = limit / gains.lag
         # Bullet stops joints at limits in order, against any preload, and ignores reversed limits.

@@ -13,7 +13,7 @@ from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.grippers.urdf import scene_robot
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import DISTURBANCES, JAW_PRELOAD, SLIDING_LAG, TURNING_LAG
+from qdgrasp_protocol.rows import DISTURBANCES, JAW_PRELOAD, DriveGains
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.export.grasp_table import GraspColumn, GraspContacts
 
@@ -87,7 +87,7 @@ def squeeze_targets(
     targets = np.broadcast_to(closed, joints.shape)
     if protocol in DISTURBANCES:
         kinds = [found.kind for joint in hand.joints if (found := robot.joint(joint.name))]
-        lags = np.array([SLIDING_LAG if kind == "prismatic" else TURNING_LAG for kind in kinds])
+        lags = np.array([DriveGains.of(kind).lag for kind in kinds])
         reached = np.minimum(senses * joints, senses * closed)
         targets = senses * (reached + lags * (JAW_PRELOAD if hand.jaw else 1.0))
     return np.where(senses != 0, targets, joints).astype(np.float32)

@@ -13,11 +13,9 @@ from qdgrasp_assets.geometry.voxels import convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import collision_elements, part_corners
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, scene_robot
 from qdgrasp_assets.scene import Joint, Scene, Vector
-from qdgrasp_protocol.rows import JAW_PRELOAD, SLIDING_LAG, TURNING_LAG
+from qdgrasp_protocol.rows import DAMPING_RATIO, JAW_PRELOAD, DriveGains
 
 OPTIONS = {"timestep": "0.002", "integrator": "implicitfast", "cone": "elliptic", "impratio": "10"}
-SLIDING, TURNING = (SLIDING_LAG, 220.0, 70.0, 0.1), (TURNING_LAG, 55.0, 1.0, 1.0)
-"""Of a drive: lag at its limit [m or rad], frequency [rad/s]; force or torque, and speed, if not known."""
 OF_HAND, OF_OBJECT = {"contype": "1", "conaffinity": "2"}, {"contype": "2", "conaffinity": "1"}
 BOUNDS = {"boundmass": "1e-3", "boundinertia": "1e-6"}  # Links without shapes [kg, kg m2]
 
@@ -56,14 +54,16 @@ def scene_mjcf(scene: Scene, robot: Urdf, parts: Iterable[Floats], com: Vector) 
     for found in robot.joints_beyond(robot.root):
         frame = {"pos": _text(found.origin[:3, 3]), "xyaxes": _text(found.origin[:3, :2].T)}
         places[found.child] = ET.SubElement(places[found.parent], "body", frame, name=found.child)
-    for joint, found, (lag, frequency, known, _) in _commanded(robot, scene):
-        limit = joint.rated_effort or min(joint.effort or known, known)
-        stiffness, force = limit / lag, limit * (JAW_PRELOAD if hand.jaw else 1.0)
+    for joint, found, drive in _commanded(robot, scene):
+        limit = joint.rated_effort or min(joint.effort or drive.effort, drive.effort)
+        stiffness, force = limit / drive.lag, limit * (JAW_PRELOAD if hand.jaw else 1.0)
         kind = "slide" if found.kind == "prismatic" else "hinge"
-        dynamics = {"type": kind, "axis": _text(found.axis), "armature": _text(stiffness / frequency**2)}
+        armature = _text(stiffness / drive.frequency**2)
+        dynamics = {"type": kind, "axis": _text(found.axis), "armature": armature}
         if found.lower < found.upper:
             dynamics["range"] = _text([found.lower, found.upper])
-        gains = {"kp": _text(stiffness), "kv": _text(1.4 * stiffness / frequency)}
+        damping = 2 * DAMPING_RATIO * stiffness / drive.frequency
+        gains = {"kp": _text(stiffness), "kv": _text(damping)}
         gains["forcerange"] = _text([-force, force])
         ET.SubElement(places[found.child], "joint", dynamics, name=joint.name)
         ET.SubElement(actuators, "position", gains, name=joint.name, joint=joint.name)
@@ -89,14 +89,14 @@ def scene_mjcf(scene: Scene, robot: Urdf, parts: Iterable[Floats], com: Vector) 
 def closing_speeds(scene: Scene) -> list[float]:
     """Return the speeds with which the joints of a hand close [m/s or rad/s]."""
     found = _commanded(scene_robot(scene.gripper), scene)
-    return [joint.rated_velocity or gains[3] for joint, _, gains in found]
+    return [joint.rated_velocity or gains.speed for joint, _, gains in found]
 
 
-def _commanded(robot: Urdf, scene: Scene) -> list[tuple[Joint, UrdfJoint, tuple[float, ...]]]:
+def _commanded(robot: Urdf, scene: Scene) -> list[tuple[Joint, UrdfJoint, DriveGains]]:
     """Return the joints of a hand, each with that of the URDF and the gains of its drive."""
     known = {joint.name: joint for joint in robot.joints}
     pairs = [(joint, known[joint.name]) for joint in scene.gripper.joints]
-    return [(one, two, SLIDING if two.kind == "prismatic" else TURNING) for one, two in pairs]
+    return [(one, two, DriveGains.of(two.kind)) for one, two in pairs]
 
 
 def _add_hulls(body: ET.Element, assets: ET.Element, parts: Iterable[Floats], group: dict[str, str]) -> None:
