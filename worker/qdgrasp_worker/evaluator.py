@@ -50,26 +50,46 @@ ROWS_AT_ONCE = 16  # Rows evaluated at once; evaluation is pure, so slicing chan
 
 
 class BatchEvaluator(ABC):
-    """Evaluates batches of genomes in one scene; UnknownName if its protocol does not exist."""
+    """Evaluates batches of genomes in one scene; UnknownName if its protocol does not exist.
+
+    `shortcuts` says whether poses that surely overlap are refused before any is simulated.
+    """
 
     at_once = ROWS_AT_ONCE
     """The most rows that it is given at once."""
     weight = 1
     """Memory that it takes, in worlds of Bullet."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, shortcuts: bool) -> None:
         self.scene = scene
         self._protocol = scene_protocol(scene)
         self._surface = ObjectSurface(scene)
+        self._object = ObjectSolid(scene)
+        follows = self._protocol.free_joints_first
+        self._pose_filters = PoseFilters(
+            scene, self._object, follows_free_joints=follows, shortcuts=shortcuts
+        )
         self._decoders: dict[str, Decoder] = {}
 
     @abstractmethod
     def close(self) -> None:
         """Free its resources; closing twice is allowed."""
 
-    @abstractmethod
     def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
         """Evaluate genomes (n, d) of `prior`, each in its trial (n,); UnknownName for the prior."""
+        grasps, rows = self._decoder(prior)(genomes), self.shape(prior).empty(len(genomes))
+        rows["genome"], rows["trial"] = genomes, trials
+        reasons = row_refusals(genomes, trials, grasps, self._protocol.trials)
+        wanted = np.isin(np.arange(len(rows)), [*reasons], invert=True)
+        known = self._pose_filters(grasps, trials, wanted)
+        fill_rows(rows, grasps, {i: EpisodeResult(outcome, grasps[i].joints) for i, outcome in known.items()})
+        if places := [i for i in np.flatnonzero(wanted).tolist() if i not in known]:
+            reasons |= self._judge(prior, rows, grasps, places)
+        return Evaluation(rows, [(i, reasons[i][:REASON_LENGTH]) for i in sorted(reasons)])
+
+    @abstractmethod
+    def _judge(self, prior: str, rows: Rows, grasps: DecodedGrasps, places: list[int]) -> dict[int, str]:
+        """Fill the rows at some places with results; return the reasons of failures by place."""
 
     def shape(self, prior: str) -> RowShape:
         """The widths of the rows of this scene with genomes of `prior`."""
@@ -93,14 +113,9 @@ class Evaluator(BatchEvaluator):
     """
 
     def __init__(self, scene: Scene, *, shortcuts: bool = True) -> None:
-        super().__init__(scene)
+        super().__init__(scene, shortcuts=shortcuts)
         self._worlds = self._make_worlds()
         self._shortcuts = shortcuts
-        self._object = ObjectSolid(scene)
-        follows = self._protocol.free_joints_first
-        self._pose_filters = PoseFilters(
-            scene, self._object, follows_free_joints=follows, shortcuts=shortcuts
-        )
 
     @cached_property
     def _contact_filter(self) -> ContactFilter | None:
@@ -134,23 +149,10 @@ class Evaluator(BatchEvaluator):
         for world in self._worlds:
             world.close()
 
-    def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
-        """Evaluate genomes (n, d) of `prior`, each in its trial (n,)."""
-        grasps = self._decoder(prior)(genomes)
-        rows = self.shape(prior).empty(len(genomes))
-        rows["genome"], rows["trial"] = genomes, trials
-        reasons = dict(row_refusals(genomes, trials, grasps, self._protocol.trials))
-        wanted = np.isin(np.arange(len(genomes)), [*reasons], invert=True)
-        known = self._pose_filters(grasps, trials, wanted)
-        verdicts = {i: EpisodeResult(outcome, grasps[i].joints) for i, outcome in known.items()}
-        poses = {i: grasps[i] for i in np.flatnonzero(wanted).tolist() if i not in known}
-        for i, found in self._simulate({i: (pose, int(trials[i])) for i, pose in poses.items()}).items():
-            if isinstance(found, str):
-                reasons[i] = found
-            else:
-                verdicts[i] = found
-        fill_rows(rows, grasps, verdicts)
-        return Evaluation(rows, [(i, reasons[i][:REASON_LENGTH]) for i in sorted(reasons)])
+    def _judge(self, prior: str, rows: Rows, grasps: DecodedGrasps, places: list[int]) -> dict[int, str]:
+        found = self._simulate({i: (grasps[i], int(rows["trial"][i])) for i in places})
+        fill_rows(rows, grasps, {i: each for i, each in found.items() if not isinstance(each, str)})
+        return {i: each for i, each in found.items() if isinstance(each, str)}
 
     def _simulate(self, poses: dict[int, tuple[HandPose, int]]) -> dict[int, EpisodeResult | str]:
         """Return the results of poses in their trials, or the reasons of failures."""
@@ -207,13 +209,13 @@ def make_episode(
 
 def row_refusals(
     genomes: NDArray[np.float32], trials: NDArray[np.uint16], grasps: DecodedGrasps, last: int
-) -> list[tuple[int, str]]:
-    """The rows that cannot be evaluated, by place, with the reason; `last` is the last trial."""
+) -> dict[int, str]:
+    """The reasons why rows cannot be evaluated, by place; `last` is the last trial."""
     beyond = f"this evaluation protocol has no trial {f'above {last}' if last else 'but 0'}"
     senseless = "the genome stands for no pose: it holds, or leads to, numbers that are not finite"
     is_finite = np.isfinite(genomes).all(axis=1) & grasps.are_finite
     (places,) = np.nonzero(~is_finite | (trials > last))
-    return [(i, beyond if is_finite[i] else senseless) for i in places.tolist()]
+    return {i: beyond if is_finite[i] else senseless for i in places.tolist()}
 
 
 def fill_rows(rows: Rows, grasps: DecodedGrasps, verdicts: dict[int, EpisodeResult]) -> None:

@@ -33,13 +33,18 @@ def platform(device: Device | None = None) -> dict[str, str]:
     Entries of an engine concern its rows alone: `pybullet` and `probes`, which are absent where PyBullet is
     not installed; `mujoco` and `mujoco_probes`; and those of a device (`device_platform`).
     """
-    found = {name: version(name) for name in ("qdgrasp", "numpy", "scipy")}
-    found |= {"machine": machine.machine(), "evaluation": str(EVALUATION)}
+    found = base_platform()
     if has_bullet():
         found |= {"pybullet": version("pybullet"), "probes": probe_digest()}
     mujoco: str = import_module("mujoco").__version__
     found |= {"mujoco": mujoco, "mujoco_probes": physical_probe_digest("mujoco")}
     return found | (device_platform(device) if device else {})
+
+
+def base_platform() -> dict[str, str]:
+    """Entries of every platform: versions, machine, and the number of the evaluation."""
+    found = {name: version(name) for name in ("qdgrasp", "numpy", "scipy")}
+    return found | {"machine": machine.machine(), "evaluation": str(EVALUATION)}
 
 
 def device_platform(device: Device) -> dict[str, str]:

@@ -6,10 +6,9 @@ and restarts are those of the package's own simulator; poses are decoded here, b
 
 import hashlib
 import inspect
-import platform as machine
 import sys
+from collections import ChainMap
 from importlib import import_module
-from importlib.metadata import version
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
@@ -24,58 +23,30 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows
 from qdgrasp_worker.decoder import DecodedGrasps
 from qdgrasp_worker.episode import EpisodeResult
-from qdgrasp_worker.evaluator import (
-    REASON_LENGTH,
-    ROWS_AT_ONCE,
-    BatchEvaluator,
-    Evaluation,
-    fill_rows,
-    row_refusals,
-)
-from qdgrasp_worker.platform import EVALUATION
-from qdgrasp_worker.pose_filters import ObjectSolid, PoseFilters
+from qdgrasp_worker.evaluator import ROWS_AT_ONCE, BatchEvaluator, fill_rows
+from qdgrasp_worker.platform import base_platform
 from qdgrasp_worker.runtime.evaluator_api import EvaluatorFactory, EvaluatorFn, Hands
 from qdgrasp_worker.runtime.simulator_main import main as serve
-
-Failures = list[tuple[int, str]]
 
 
 class CustomEvaluator(BatchEvaluator):
     """Evaluates one scene by a user's function, made by `make` and closed with it."""
 
     def __init__(self, scene: Scene, make: EvaluatorFactory) -> None:
-        super().__init__(scene)
-        self._judge: EvaluatorFn = make(scene)
-        self._filters = PoseFilters(scene, ObjectSolid(scene), follows_free_joints=True, shortcuts=False)
-        self.at_once = max(1, int(getattr(self._judge, "at_once", ROWS_AT_ONCE)))
+        super().__init__(scene, shortcuts=False)
+        self._verdicts: EvaluatorFn = make(scene)
+        self.at_once = max(1, int(getattr(self._verdicts, "at_once", ROWS_AT_ONCE)))
 
     def close(self) -> None:
         """Close the user's function if it can be closed."""
-        getattr(self._judge, "close", lambda: None)()
+        getattr(self._verdicts, "close", lambda: None)()
 
-    def evaluate(self, prior: str, genomes: NDArray[np.float32], trials: NDArray[np.uint16]) -> Evaluation:
-        """Evaluate genomes (n, d) of `prior`, each in its trial (n,)."""
-        grasps, rows = self._decoder(prior)(genomes), self.shape(prior).empty(len(genomes))
-        rows["genome"], rows["trial"] = genomes, trials
-        failures = row_refusals(genomes, trials, grasps, self._protocol.trials)
-        wanted = np.isin(np.arange(len(rows)), [place for place, _ in failures], invert=True)
-        known = self._filters(grasps, trials, wanted)
-        posed = {place: known.get(place, Outcome.MISSED) for place in np.flatnonzero(wanted).tolist()}
-        fill_rows(rows, grasps, {i: EpisodeResult(outcome, grasps[i].joints) for i, outcome in posed.items()})
-        asked = np.array([place for place in posed if place not in known], dtype=np.intp)
-        if len(asked):
-            failures += self._judged(rows, self._hands(prior, genomes, trials, grasps, asked), asked)
-        return Evaluation(rows, sorted(failures))
+    def _judge(self, prior: str, rows: Rows, grasps: DecodedGrasps, places: list[int]) -> dict[int, str]:
+        fill_rows(rows, grasps, {i: EpisodeResult(Outcome.MISSED, grasps[i].joints) for i in places})
+        return self._fill(rows, self._hands(prior, rows, grasps, places), np.array(places))
 
-    def _hands(
-        self,
-        prior: str,
-        genomes: NDArray[np.float32],
-        trials: NDArray[np.uint16],
-        grasps: DecodedGrasps,
-        places: NDArray[np.intp],
-    ) -> Hands:
-        disturbed = [self._protocol.trial(grasps[i], int(trials[i])) for i in places]
+    def _hands(self, prior: str, rows: Rows, grasps: DecodedGrasps, places: list[int]) -> Hands:
+        disturbed = [self._protocol.trial(grasps[i], int(rows["trial"][i])) for i in places]
         usual = (self.scene.object.rolling_friction, self.scene.object.spinning_friction)
         poses = [[*trial.pose.position, *trial.pose.quaternion] for trial in disturbed]
         return Hands(
@@ -83,26 +54,26 @@ class CustomEvaluator(BatchEvaluator):
             joints=grasps.joints[places],
             synergies=grasps.synergies[places],
             frictions=np.array([trial.frictions or usual for trial in disturbed]),
-            trials=trials[places],
+            trials=rows["trial"][places],
             surface_points=grasps.surface_points[places],
             prior=prior,
-            genomes=genomes[places],
+            genomes=rows["genome"][places],
         )
 
-    def _judged(self, rows: Rows, hands: Hands, places: NDArray[np.intp]) -> Failures:
+    def _fill(self, rows: Rows, hands: Hands, places: NDArray[np.intp]) -> dict[int, str]:
         """Fill the rows at these places with verdicts; where that fails, one by one."""
         try:
-            columns = self._judge(hands).columns(hands, self._protocol.disturbances)
+            columns = self._verdicts(hands).columns(hands, self._protocol.disturbances)
         except Exception as error:  # noqa: BLE001  # any failure is these rows' result and no other's
             if len(places) > 1:
-                alone = (slice(i, i + 1) for i in range(len(places)))
-                return [failure for one in alone for failure in self._judged(rows, hands[one], places[one])]
+                alone = [slice(i, i + 1) for i in range(len(places))]
+                return dict(ChainMap(*(self._fill(rows, hands[one], places[one]) for one in alone)))
             for column in RESULT:
                 rows[column.name][places] = 0
-            return [(int(places[0]), f"{type(error).__name__}: {error}"[:REASON_LENGTH])]
+            return {int(places[0]): f"{type(error).__name__}: {error}"}
         for name, values in columns.items():
             rows[name][places] = values
-        return []
+        return {}
 
 
 def load_evaluator(what: str) -> tuple[EvaluatorFactory, Path]:
@@ -131,9 +102,7 @@ def _module_from_file(path: Path) -> ModuleType:
 
 def custom_platform(what: str, file: Path) -> dict[str, str]:
     """All that decides the bits of results: the evaluator's file and the decoding code."""
-    return {name: version(name) for name in ("qdgrasp", "numpy", "scipy")} | {
-        "machine": machine.machine(),
-        "evaluation": str(EVALUATION),
+    return base_platform() | {
         "evaluator": what.rpartition(":")[2],
         "evaluator_file": hashlib.sha256(file.read_bytes()).hexdigest(),
     }
