@@ -103,25 +103,27 @@ class FingerControl:
     def __init__(self, drives: Sequence[FingerDrive], *, is_coupled: bool) -> None:
         self.drives = drives
         self.is_coupled = is_coupled
-        self._preload = 1.0
+        self.preload = 1.0
+        """Factor of the force with which it grips."""
         self.targets = [drive.opened for drive in drives]
         """Target of each joint [m or rad]."""
-        self._ways = [(0, drive.opened) for drive in drives]  # Of each target: +1, -1 or 0, and its end
+        self.ways: list[tuple[int, float]] = [(0, drive.opened) for drive in drives]
+        """Of each target its sense, +1, -1 or 0, and its end."""
 
     def start(self, posture: Sequence[float], closing: Sequence[str], preload: float = 1.0) -> None:
         """Let the targets of the joints `closing` move from `posture`; the others stay there.
 
         `preload` is a factor of the force with which they grip.
         """
-        self.targets, self._preload = list(posture), preload
-        self._ways = [
+        self.targets, self.preload = list(posture), preload
+        self.ways = [
             target_motion(drive, place) if drive.name in closing else (0, place)
             for drive, place in zip(self.drives, posture, strict=True)
         ]
 
     def stop(self) -> None:
         """Stop all targets."""
-        self._ways = [(0, target) for target in self.targets]
+        self.ways = [(0, target) for target in self.targets]
 
     def torques(self, states: Sequence[tuple[float, float]], time_step: float) -> list[float]:
         """Advance the targets; return each joint's force or torque by its position and velocity."""
@@ -136,13 +138,13 @@ class FingerControl:
         """Advance the targets by the joints' positions; return the target of each joint."""
         share = self._mean_share(positions) if self.is_coupled else None
         for i, (drive, (sense, end), position) in enumerate(
-            zip(self.drives, self._ways, positions, strict=True)
+            zip(self.drives, self.ways, positions, strict=True)
         ):
             if sense:
                 place = position if share is None else drive.opened + share * (drive.closed - drive.opened)
                 ahead = min(
                     sense * self.targets[i] + drive.speed * seconds,
-                    sense * place + self._preload * drive.lead,
+                    sense * place + self.preload * drive.lead,
                     sense * end,
                 )
                 self.targets[i] = sense * ahead
@@ -152,7 +154,7 @@ class FingerControl:
         """Mean share of their way that the moving joints have gone."""
         shares = [
             (position - drive.opened) / (drive.closed - drive.opened)
-            for drive, (sense, _), position in zip(self.drives, self._ways, positions, strict=True)
+            for drive, (sense, _), position in zip(self.drives, self.ways, positions, strict=True)
             if sense
         ]
         return running_sum(shares) / len(shares) if shares else 0.0

@@ -4,7 +4,6 @@ import numpy as np
 
 from qdgrasp_worker.engines.lockstep import (
     MOVING,
-    BatchWorlds,
     BufferSizes,
     States,
     StepResult,
@@ -13,7 +12,7 @@ from qdgrasp_worker.engines.lockstep import (
 from qdgrasp_worker.engines.mujoco_simulation import Simulation
 
 
-class LoopedWorlds(BatchWorlds):
+class LoopedWorlds:
     """Moves each world on by itself.
 
     `failing` says, by its friction, which one overflows its buffers; `garbage`: what comes of it is then NaN.
@@ -24,7 +23,7 @@ class LoopedWorlds(BatchWorlds):
     ) -> None:
         self._simulation, self._failing, self._garbage = simulation, failing, garbage
 
-    def advance(self, states: States, steps: int) -> StepResult:
+    def __call__(self, states: States, steps: int) -> StepResult:
         found = [
             self._advance({name: values[i] for name, values in states.items()}, steps)
             for i in range(len(states["qpos"]))

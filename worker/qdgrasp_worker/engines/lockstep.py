@@ -8,7 +8,6 @@ Decoding, filters and the placing of the open hand are those of `Evaluator`, in 
 overflowed their buffers, or whose numbers are not finite, are evaluated there, too.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeAlias, cast
 
@@ -29,7 +28,7 @@ from qdgrasp_worker.physical_episode import (
     REST_SPEED,
     REST_SPIN,
     RESTING_LOOKS,
-    FingerDrive,
+    FingerControl,
     PhysicalEpisode,
 )
 from qdgrasp_worker.world import seen_from
@@ -89,42 +88,24 @@ class BufferSizes(NamedTuple):
     """`njmax`: constraints of a world at most."""
 
 
-class BatchWorlds(ABC):
-    """Worlds of one model of a scene that are stepped together."""
-
-    @abstractmethod
-    def advance(self, states: States, steps: int) -> StepResult:
-        """Step n worlds `steps` times."""
+BatchWorlds: TypeAlias = Callable[[States, int], StepResult]
+"""Steps n worlds of one model of a scene together, by a number of steps."""
 
 
 class FingerControls:
-    """`FingerControl` of n worlds at once, with the same numbers.
+    """The control of n worlds of one hand at once, with the numbers of `FingerControl`."""
 
-    `closing` (n, j) says which joints close from the postures (n, j) [m or rad]; the others stay. `preload`
-    (n, 1) are factors of the forces with which they grip.
-    """
-
-    def __init__(
-        self,
-        drives: Sequence[FingerDrive],
-        postures: Floats,
-        closing: NDArray[np.bool_],
-        *,
-        is_coupled: bool,
-        preload: Floats | float = 1.0,
-    ) -> None:
-        def column(name: str) -> Floats:
-            return np.array([getattr(drive, name) for drive in drives], dtype=np.float64)
-
-        self._opened, self._lead, self._speed = column("opened"), column("lead"), column("speed")
-        self._rest_speed, self._is_coupled = column("rest_speed"), is_coupled
-        closed = column("closed")
+    def __init__(self, controls: Sequence[FingerControl]) -> None:
+        self._opened, closed, lead, self._speed, self._rest_speed = (
+            np.array([getattr(drive, name) for drive in controls[0].drives], dtype=np.float64)
+            for name in ("opened", "closed", "lead", "speed", "rest_speed")
+        )
+        self._is_coupled = controls[0].is_coupled
         self._way = closed - self._opened
-        self._senses = np.where(closing, np.sign(closed - postures), 0.0)
-        self._ahead = preload * np.broadcast_to(self._lead, postures.shape)
-        ends = np.minimum(np.maximum(closed + self._senses * self._lead, column("lowest")), column("highest"))
-        self._ends = np.where(closing, ends, postures)
-        self.targets = postures.copy()
+        self._ahead = np.array([[control.preload] for control in controls]) * lead
+        ways = np.array([control.ways for control in controls], dtype=np.float64)
+        self._senses, self._ends = ways[..., 0], ways[..., 1]
+        self.targets = np.array([control.targets for control in controls], dtype=np.float64)
         """(n, j): target of each joint [m or rad]."""
 
     def stop(self) -> None:
@@ -203,29 +184,26 @@ class LockstepEpisodes:
             states["damping"] = np.zeros((n, 0))
         return states
 
-    def _column(self, factor: str) -> Floats:
-        """A factor of the trials (n, 1)."""
-        return np.array([[getattr(setup, factor)] for setup in self._setups])
-
     def _closing(self, setup: TrialSetup) -> list[str]:
         return self._world.closing_joints(setup.pose.synergy)
 
+    def _started(self, setup: TrialSetup) -> FingerControl:
+        control = FingerControl(self._world.drives, is_coupled=self._world.is_coupled)
+        control.start(setup.pose.joints, self._closing(setup), setup.preload)
+        return control
+
     def _close(self) -> NDArray[np.bool_]:
         """Close on the fixed object; return whether a finger touched it (n,)."""
-        names = [self._closing(setup) for setup in self._setups]
-        drives = self._world.drives
-        closing = np.array([[drive.name in each for drive in drives] for each in names])
-        preload, is_coupled = self._column("preload"), self._world.is_coupled
-        self._control = FingerControls(drives, self._joints, closing, is_coupled=is_coupled, preload=preload)
+        self._control = FingerControls([self._started(setup) for setup in self._setups])
         self._enter(self._fixed, self._world.fixed)
-        touched = np.zeros(len(names), dtype=bool)
+        touched = np.zeros(len(self._setups), dtype=bool)
 
         def look(rows: Rows, moved: StepResult) -> None:
             is_finger = np.isin(moved.contacts.links, [*self._world.finger_links])
             touched[rows[moved.contacts.worlds[is_finger]]] = True
 
         most = np.array([self._world.closing_steps(setup.pose.synergy) for setup in self._setups])
-        self._step_to_rest(np.arange(len(names)), most, look)
+        self._step_to_rest(np.arange(len(touched)), most, look)
         return touched
 
     def _settle(self, rows: Rows) -> dict[int, EpisodeResult]:
@@ -275,6 +253,7 @@ class LockstepEpisodes:
         survived = np.zeros(len(self._setups), dtype=np.intp)
         most = np.full(len(survived), self._physics.steps(self._physics.push_time))
         lost = np.zeros(len(survived), dtype=bool)
+        loads = np.array([[setup.load] for setup in self._setups])
         start = self._object_poses()
 
         def look(rows: Rows, moved: StepResult) -> None:
@@ -285,7 +264,7 @@ class LockstepEpisodes:
 
         held = rows
         for direction in PUSHES:
-            self._states["force"][:] = np.multiply(direction, self._world.push_force) * self._column("load")
+            self._states["force"][:] = np.multiply(direction, self._world.push_force) * loads
             self._step_to_rest(held, most, look, lost)
             held = held[~lost[held]]
             survived[held] += 1
@@ -339,7 +318,7 @@ class LockstepEpisodes:
         states["act"][rows] = started = self._control.targets[rows]
         walked = self._control.walk(rows, self._finger_positions()[rows], seconds)
         states["ctrl"][rows] = (walked - started) / seconds
-        moved = self._now.advance({name: values[rows] for name, values in states.items()}, steps)
+        moved = self._now({name: values[rows] for name, values in states.items()}, steps)
         for name in MOVING:
             states[name][rows] = moved.states[name]
         self.is_trusted[rows[moved.failed]] = False

@@ -22,7 +22,6 @@ from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import DEVICE_ENGINE, Device
 from qdgrasp_worker.engines.lockstep import (
     MOVING,
-    BatchWorlds,
     BufferSizes,
     LockstepEvaluator,
     States,
@@ -61,6 +60,7 @@ class WorldBatch:
             dof_damping=warp.array(self._damping, dtype=float),
         )
         self._graphs: dict[int, Any] = {}
+        self._step(1)  # loads the kernels, which cannot be done while a graph is captured
 
     def write(self, states: States) -> None:
         """Set the states of the first n worlds, and those of the last one for all others."""
@@ -86,10 +86,6 @@ class WorldBatch:
             self._step(steps)
         else:
             if steps not in self._graphs:
-                held = {name: warp.clone(getattr(self.data, name)) for name in MOVING}
-                self._step(1)  # loads the kernels, which cannot be done while a graph is captured
-                for name, values in held.items():
-                    warp.copy(getattr(self.data, name), values)
                 with warp.ScopedCapture() as capture:
                     self._step(steps)
                 self._graphs[steps] = capture.graph
@@ -137,12 +133,12 @@ class WorldBatch:
         if not len(chosen):
             return np.zeros(0)
         forces = warp.zeros(len(chosen), dtype=warp.spatial_vector)
-        which = warp.array(chosen.astype(np.int32), dtype=int)
+        which: Any = warp.array(chosen.astype(np.int32), dtype=int)
         mujoco_warp.contact_force(self.model, self.data, which, False, forces)
         return host(forces)[:, 0]
 
 
-class WarpWorlds(BatchWorlds):
+class WarpWorlds:
     """Any number of worlds of a model on a device of warp; a MemoryError if they do not fit."""
 
     def __init__(self, simulation: Simulation, buffers: BufferSizes, device: Device) -> None:
@@ -154,7 +150,7 @@ class WarpWorlds(BatchWorlds):
         self._model.opt.warn_overflow = 0
         self._sized: dict[int, WorldBatch] = {}
 
-    def advance(self, states: States, steps: int) -> StepResult:
+    def __call__(self, states: States, steps: int) -> StepResult:
         """Step n worlds `steps` times."""
         n = len(states["qpos"])
         size = next_power(n)
