@@ -8,6 +8,8 @@ from typing import Literal
 
 from msgspec import Struct
 
+from qdgrasp_protocol.rows import RESULT
+
 SCENE, REQUEST, ANSWER = "scene.bundle", "request.json", "answer.json"
 """Files: scene bundle, `ReplayRequest`, `ReplayAnswer`."""
 
@@ -56,20 +58,15 @@ class Snapshot(Struct, frozen=True, kw_only=True):
     """The contacts of the last collision detection."""
 
 
+NOT_REPLAYED = ("steps", "descriptor", "base_to_object", "surface_point", "nu")
+REPLAYED = tuple(column for column in RESULT if column.name not in NOT_REPLAYED)
+"""The columns of a row that a replay finds: a pose is given to it, and it takes no shortcut."""
+
+
 class ReplayAnswer(Struct, frozen=True, kw_only=True):
     """Result of the replayed evaluation, and its course."""
 
-    outcome: int
-    """Value of an `Outcome`."""
-    fitness: int
-    joints: tuple[float, ...]
-    """Finger joints as a row has them."""
-    contacts: int
-    penetration: float
-    settled: Pose
-    """The hand's root link after closing, as a row has it; zeros where no finger touches then."""
-    contact_links: tuple[int, ...]
-    """As a row has them, without empty places; none where the scene has no room for contacts."""
-    contact_points: tuple[float, ...]
+    columns: dict[str, bytes]
+    """All of `REPLAYED` for one row, as they travel."""
     snapshots: tuple[Snapshot, ...]
     """In time; the first is of the hand as it was placed."""

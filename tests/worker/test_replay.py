@@ -15,8 +15,8 @@ from qdgrasp_assets.geometry.object_surface import ObjectSurface
 from qdgrasp_assets.geometry.resting_poses import resting_poses
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.replay_messages import ReplayAnswer, ReplayRequest, Snapshot
-from qdgrasp_protocol.rows import GIVEN, RESULT, Outcome, Rows
+from qdgrasp_protocol.replay_messages import REPLAYED, ReplayAnswer, ReplayRequest, Snapshot
+from qdgrasp_protocol.rows import GIVEN, RESULT, Outcome, Rows, unpack
 from qdgrasp_worker import replay
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.engines import make_world
@@ -63,11 +63,7 @@ def request(row: np.void) -> ReplayRequest:
 def replayed(scene: Scene, row: np.void) -> ReplayAnswer:
     """Replay a row, and check that it found what the row says, bit for bit."""
     answer, found = replay_evaluation(scene, request(row)), row.copy()
-    for name in ("outcome", "fitness", "joints", "penetration", "contacts"):
-        found[name] = getattr(answer, name)
-    for name in ("settled", "contact_links", "contact_points"):
-        found[name] = 0
-        found[name][: len(getattr(answer, name))] = getattr(answer, name)
+    unpack(found.reshape(1), REPLAYED, answer.columns)
     assert all(found[column.name].tobytes() == row[column.name].tobytes() for column in RESULT)
     return answer
 
@@ -120,8 +116,10 @@ def test_a_replay_in_two_engines_shows_the_first_one_and_judges_in_both(make_sce
         lambda first, protocol, name="": make_world(other if name else first, protocol, name),
     )
     judged = replay_evaluation(scene, request(row))
-    assert Outcome(judged.outcome) is Outcome.DROPPED
-    assert judged.joints == pytest.approx(row["joints"].tolist())
+    found = row.copy()
+    unpack(found.reshape(1), REPLAYED, judged.columns)
+    assert found["outcome"] == Outcome.DROPPED
+    assert found["joints"].tolist() == row["joints"].tolist()
     assert judged.snapshots[-1].phase == "pushes"
 
 

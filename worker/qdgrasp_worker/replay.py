@@ -18,9 +18,11 @@ from qdgrasp_assets.geometry.object_surface import ObjectSurface
 from qdgrasp_assets.geometry.rotation import conjugate, multiply, rotate
 from qdgrasp_assets.scene import Scene, SceneGripper, unpack_scene
 from qdgrasp_protocol.cli_support import run_command
+from qdgrasp_protocol.messages import deflated
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.replay_messages import (
     ANSWER,
+    REPLAYED,
     REQUEST,
     SCENE,
     ContactPoint,
@@ -30,13 +32,13 @@ from qdgrasp_protocol.replay_messages import (
     ReplayRequest,
     Snapshot,
 )
-from qdgrasp_protocol.rows import GIVEN, Outcome
+from qdgrasp_protocol.rows import GIVEN, Outcome, RowShape, pack
 from qdgrasp_protocol.spec import engine_names
 from qdgrasp_worker.decoder import Decoder
 from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import Shake, TrialSetup, scene_protocol
-from qdgrasp_worker.evaluator import contact_columns, make_episode, verdict_in_all
+from qdgrasp_worker.evaluator import fill_rows, make_episode, verdict_in_all
 from qdgrasp_worker.pose_filters import TableFilter
 from qdgrasp_worker.world import GraspWorld
 
@@ -159,18 +161,9 @@ def replay_evaluation(scene: Scene, request: ReplayRequest) -> ReplayAnswer:
         names = engine_names(scene.engine)[1:]
         others = [opened.enter_context(closing(make_world(scene, protocol, name))) for name in names]
         found = verdict_in_all(verdict, others, protocol, trial)
-    links, points = contact_columns(found.contacts, scene.contact_slots)
-    return ReplayAnswer(
-        outcome=found.outcome,
-        fitness=found.fitness,
-        joints=tuple(found.joints),
-        contacts=found.finger_links,
-        penetration=found.penetration,
-        settled=make_pose(found.settled[:3], found.settled[3:]),
-        contact_links=tuple(links),
-        contact_points=tuple(points),
-        snapshots=tuple(recorder.snapshots),
-    )
+    row = RowShape(len(request.genome), len(scene.gripper.joints), scene.contact_slots).empty(1)
+    fill_rows(row, grasps, {0: found})
+    return ReplayAnswer(columns=deflated(pack(row, REPLAYED)), snapshots=tuple(recorder.snapshots))
 
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)

@@ -6,8 +6,8 @@ import numpy as np
 from msgspec import Struct
 
 from qdgrasp_coordinator.storage import platforms
-from qdgrasp_protocol.replay_messages import ReplayAnswer
-from qdgrasp_protocol.rows import RESULT, Outcome
+from qdgrasp_protocol.replay_messages import REPLAYED, ReplayAnswer
+from qdgrasp_protocol.rows import RESULT, Outcome, unpack
 from qdgrasp_protocol.text import counted
 
 ROWS_SHOWN = 10  # Rows that are shown to a person one by one
@@ -98,13 +98,7 @@ GPU_BITS = "on a GPU rows have no fixed bits"
 
 def row_with_answer(row: np.void, answer: ReplayAnswer) -> np.void:
     """Return a row with the results of its replay in place of the recorded ones."""
-    now = row.copy()
-    for name in ("outcome", "fitness", "joints", "contacts", "penetration"):
-        now[name] = getattr(answer, name)
-    for name in ("settled", "contact_links", "contact_points"):
-        found = getattr(answer, name)
-        now[name] = 0
-        now[name][: len(found)] = found[: now[name].size]
+    now: np.void = unpack(row.reshape(1).copy(), REPLAYED, answer.columns)[0]
     return now
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from qdgrasp_protocol.replay_messages import ReplayAnswer
-from qdgrasp_protocol.rows import Outcome, Rows, RowShape
+from qdgrasp_protocol.messages import deflated
+from qdgrasp_protocol.replay_messages import REPLAYED, ReplayAnswer
+from qdgrasp_protocol.rows import Outcome, Rows, RowShape, pack
 from qdgrasp_tools.verification import comparison
 
 
@@ -42,25 +43,13 @@ def test_numbers_are_told_so_that_they_are_told_apart(recorded: Rows) -> None:
     assert words == "penetration 0.001 instead of 0.0010000002"
 
 
-def test_a_replay_differs_from_its_row_in_the_columns_that_the_row_has() -> None:
-    answer = ReplayAnswer(
-        outcome=7,
-        fitness=2,
-        joints=(0.01, 0.02),
-        contacts=2,
-        penetration=0.0,
-        settled=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
-        contact_links=(1,),
-        contact_points=(0.0,) * 7,
-        snapshots=(),
-    )
-    (row,), (bare,) = RowShape(2, 2, contact_slots=2).empty(1), RowShape(2, 2).empty(1)
-    for one in (row, bare):
-        one["outcome"], one["fitness"], one["contacts"] = answer.outcome, answer.fitness, answer.contacts
-        one["joints"] = answer.joints
-    row["settled"], row["contact_links"][:1] = answer.settled, 1
-    for one in (row, bare):
-        assert comparison.row_differences(one, comparison.row_with_answer(one, answer)) == {}
+def test_a_replay_differs_from_its_row_in_the_columns_of_the_verdict_alone() -> None:
+    (found,) = rows = RowShape(2, 2, contact_slots=2).empty(1)
+    found["outcome"], found["joints"], found["settled"], found["contact_links"] = 7, 0.01, 0.5, 1
+    answer = ReplayAnswer(columns=deflated(pack(rows, REPLAYED)), snapshots=())
+    row = found.copy()
+    row["nu"], row["steps"] = 1.0, 12
+    assert comparison.row_differences(row, comparison.row_with_answer(row, answer)) == {}
     row["settled"][0] += 0.001
     row["contact_points"][0] = 0.02
     found = comparison.row_differences(row, comparison.row_with_answer(row, answer))
