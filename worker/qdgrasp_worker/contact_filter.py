@@ -59,35 +59,32 @@ DIRECTIONS = geodesic(1.0, 3).vertices
 UNIT_BOX_CORNERS = np.array(list(product((0.0, 1.0), repeat=3)))
 
 
-@dataclass(frozen=True)
-class DistanceField:
-    """Lower bounds of the distance to the volume that shapes pass through, in a link's frame."""
+def distance_field(courses: Iterable[tuple[Hull, Floats]]) -> VoxelGrid:
+    """Return lower bounds of the distance to the volume that hulls pass through.
 
-    distances: VoxelGrid
-    """In units of `DISTANCE_UNIT`, rounded down; its rim stands for all outside the box."""
+    Each hull is on its course of frames (n, 4, 4) that follow each other closely. Distances are in units of
+    `DISTANCE_UNIT`, rounded down; the rim stands for all outside the box.
+    """
+    paths = [(simplified_hull(hull), course, corner_path(hull, course)) for hull, course in courses]
+    low = np.min([corners.min(axis=(0, 1)) for *_, corners in paths], axis=0)
+    high = np.max([corners.max(axis=(0, 1)) for *_, corners in paths], axis=0)
+    low, high = low - KNOWN_DISTANCE, high + KNOWN_DISTANCE
+    pitch = max(VOXEL_PITCH, float(np.prod(high - low) / MAX_VOXELS) ** (1 / 3))
+    diagonal = sqrt(3.0) * pitch
+    voxels = VoxelGrid(low, high, pitch)
+    for hull, course, corners in paths:
+        for look, moved in path_samples(corners):
+            voxels.mark(hull.moved(course[look]).grown(moved + round_excess(hull) + diagonal / 2), 1)
+    # Distances are of voxels' middles: a point and a marked place may each be half a diagonal nearer.
+    away = distance_transform_edt(voxels.levels == 0) * pitch - diagonal
+    voxels.levels = np.clip(away / DISTANCE_UNIT, 0, 255).astype(np.uint8)
+    return voxels
 
-    @classmethod
-    def of(cls, courses: Iterable[tuple[Hull, Floats]]) -> Self:
-        """The field of hulls, each on its course of frames (n, 4, 4) that follow each other closely."""
-        paths = [(simplified_hull(hull), course, corner_path(hull, course)) for hull, course in courses]
-        low = np.min([corners.min(axis=(0, 1)) for *_, corners in paths], axis=0)
-        high = np.max([corners.max(axis=(0, 1)) for *_, corners in paths], axis=0)
-        low, high = low - KNOWN_DISTANCE, high + KNOWN_DISTANCE
-        pitch = max(VOXEL_PITCH, float(np.prod(high - low) / MAX_VOXELS) ** (1 / 3))
-        diagonal = sqrt(3.0) * pitch
-        voxels = VoxelGrid(low, high, pitch)
-        for hull, course, corners in paths:
-            for look, moved in path_samples(corners):
-                voxels.mark(hull.moved(course[look]).grown(moved + round_excess(hull) + diagonal / 2), 1)
-        # Distances are of voxels' middles: a point and a marked place may each be half a diagonal nearer.
-        away = distance_transform_edt(voxels.levels == 0) * pitch - diagonal
-        voxels.levels = np.clip(away / DISTANCE_UNIT, 0, 255).astype(np.uint8)
-        return cls(voxels)
 
-    def lower_bounds(self, points: Singles, turn: Singles, move: Singles) -> NDArray[np.uint8]:
-        """Lower bounds (n,) of the distances of points (n, 3), turned by (3, 3) and moved by (3,)."""
-        x, y, z = (points @ turn.T + move).T
-        return self.distances.at(x, y, z).astype(np.uint8, copy=False)
+def lower_bounds(field: VoxelGrid, points: Singles, turn: Singles, move: Singles) -> NDArray[np.uint8]:
+    """Lower bounds (n,) of the distances of points (n, 3), turned by (3, 3) and moved by (3,)."""
+    x, y, z = (points @ turn.T + move).T
+    return field.at(x, y, z).astype(np.uint8, copy=False)
 
 
 def corner_path(hull: Hull, course: Floats) -> Floats:
@@ -239,7 +236,7 @@ class ContactFilter:
         self._closing = closing
         opened = [joint.opened for joint in gripper.joints]
         self._at_first = [] if follows_free_joints or not gripper.free_joints else [opened]
-        self._zones: dict[int, dict[str, DistanceField]] = {}
+        self._zones: dict[int, dict[str, VoxelGrid]] = {}
         if self.is_known:
             cover, clear = BoundingBalls.of(solid), contact_range(solid, sight)
             self._large, self._small = clearances(cover.large, clear), clearances(cover.small, clear)
@@ -262,28 +259,28 @@ class ContactFilter:
             for zone, frame in self._placed(pose)
         )
 
-    def _placed(self, pose: HandPose) -> Iterator[tuple[DistanceField, Floats]]:
+    def _placed(self, pose: HandPose) -> Iterator[tuple[VoxelGrid, Floats]]:
         """Each zone with its frame (4, 4) in the hand's, for each place of the free joints."""
         for posture in [pose.joints, *self._at_first]:
             frames = self._mounts.frames(posture)
             for link, zone in self._zones[pose.synergy].items():
                 yield zone, frames[link]
 
-    def _is_clear(self, zone: DistanceField, turn: Floats, move: Floats) -> bool:
+    def _is_clear(self, zone: VoxelGrid, turn: Floats, move: Floats) -> bool:
         """Return whether no ball is near a zone; where a large one is, its small ones are checked.
 
         A large ball inside the zone is enough for False.
         """
         frame = turn.astype(np.float32), move.astype(np.float32)
         (large, least), (small, small_least) = self._large, self._small
-        away = zone.lower_bounds(large, *frame)
+        away = lower_bounds(zone, large, *frame)
         is_near = away <= least
         if not is_near.any() or not away.all():
             return not is_near.any()
         some = np.repeat(is_near, self._counts)
-        return bool((zone.lower_bounds(small[some], *frame) > small_least[some]).all())
+        return bool((lower_bounds(zone, small[some], *frame) > small_least[some]).all())
 
-    def _measure(self, synergy: int) -> dict[str, DistanceField]:
+    def _measure(self, synergy: int) -> dict[str, VoxelGrid]:
         """Close the hand from each of `FREE_JOINT_PLACES`; return the zone in each mount's frame."""
         gripper = self._hand.gripper
         places = FREE_JOINT_PLACES[: 1 + bool(gripper.free_joints)]
@@ -295,7 +292,7 @@ ZONES_KEPT = 32  # Synergies whose zones a process keeps, the last ones used; ab
 
 
 @lru_cache(ZONES_KEPT)
-def measure_zones(hand: HandGeometry, courses: tuple[bytes, ...]) -> dict[str, DistanceField]:
+def measure_zones(hand: HandGeometry, courses: tuple[bytes, ...]) -> dict[str, VoxelGrid]:
     """The zones of a closing hand; a course, `HandGeometry.postures`, for each free joint place."""
     mounts = FreeJointLinks(hand)
     passing: dict[str, list[tuple[Hull, Floats]]] = {}
@@ -306,7 +303,7 @@ def measure_zones(hand: HandGeometry, courses: tuple[bytes, ...]) -> dict[str, D
             under = mounts.mount_of[link]
             path = np.linalg.inv(placed[under]) @ frames[link]
             passing.setdefault(under, []).extend((hull, path) for hull in hulls)
-    return {link: DistanceField.of(paths) for link, paths in passing.items() if paths}
+    return {link: distance_field(paths) for link, paths in passing.items() if paths}
 
 
 def interpolate_course(course: Floats) -> Floats:
