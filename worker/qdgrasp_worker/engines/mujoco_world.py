@@ -138,12 +138,10 @@ class MujocoWorld(GraspWorld):
 class MujocoShakenWorld(MujocoWorld, ShakenWorld):
     """A world whose joints have motors like Bullet's."""
 
-    _time_step = TIME_STEP
-
     def __init__(self, scene: Scene) -> None:
         gripper = scene.gripper
         super().__init__(gripper)
-        self._scene = SceneModel(scene, self._time_step)
+        self._scene = SceneModel(scene, TIME_STEP)
         self._prepare(scene, Simulation(self._scene, self._scene.shaken()))
         joints = [joint.name for joint in self._scene.robot.joints if joint.moves]
         self._row = {name: int(self.free.model.joint(name).dofadr[0]) for name in joints}
@@ -152,7 +150,6 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         self._motors = n
         self._at, self._velocity = data.qpos[:n], data.qvel[:n]
         self._goals, self._gains, self._damping, self._least, self._most = (np.zeros(n) for _ in range(5))
-        self._wanted, self._slowed = np.zeros(n), np.zeros(n)
 
     def friction(self, trial: TrialSetup) -> tuple[float, float, float]:
         """Friction of hand and object, combined from both as in Bullet."""
@@ -187,15 +184,11 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
 
         A motor gives its joint the velocity gain (goal - position) / step + (1 - damping) velocity.
         """
-        data, wanted, velocity = self.free.data, self._wanted, self._velocity
+        data, velocity = self.free.data, self._velocity
         self.free.begin_step()
-        np.subtract(self._goals, self._at, wanted)
-        np.multiply(wanted, self._gains, wanted)
-        np.add(wanted, np.multiply(velocity, self._damping, self._slowed), wanted)
-        np.minimum(wanted, self._most, out=wanted)
-        np.maximum(wanted, self._least, out=wanted)
-        np.subtract(wanted, velocity, wanted)
-        data.efc_aref[data.ne : data.ne + self._motors] = np.divide(wanted, self._time_step, wanted)
+        wanted = (self._goals - self._at) * self._gains + velocity * self._damping
+        wanted = np.maximum(np.minimum(wanted, self._most), self._least)
+        data.efc_aref[data.ne : data.ne + self._motors] = (wanted - velocity) / TIME_STEP
         self.free.end_step()
         self.steps += 1
 
