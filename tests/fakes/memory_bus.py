@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future, wait
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from enum import Enum
-from typing import Any
+from typing import Any, Literal
 
 import structlog
 
@@ -32,13 +31,7 @@ from qdgrasp_protocol.keys import matches
 log = structlog.get_logger()
 
 
-class Kind(Enum):
-    """Kinds of declarations."""
-
-    SUBSCRIBER = "subscriber"
-    QUERYABLE = "queryable"
-    TOKEN = "token"  # noqa: S105  # of liveliness
-    WATCHER = "watcher"
+Kind = Literal["subscriber", "queryable", "token", "watcher"]
 
 
 @dataclass(eq=False)
@@ -82,13 +75,13 @@ class MemoryNetwork:
     def visible(self, kind: Kind, session: "MemoryBus") -> list[Registration]:
         """Return the entries of a kind that `session` can reach."""
         with self._lock:
-            return [e for e in self._entries if e.kind is kind and session.reaches(e.session)]
+            return [e for e in self._entries if e.kind == kind and session.reaches(e.session)]
 
     def report_tokens(self) -> None:
         """Report to every watcher how the tokens that it can see have changed."""
         with self._lock:
-            for watcher in [e for e in self._entries if e.kind is Kind.WATCHER]:
-                tokens = [token.pattern for token in self.visible(Kind.TOKEN, watcher.session)]
+            for watcher in [e for e in self._entries if e.kind == "watcher"]:
+                tokens = [token.pattern for token in self.visible("token", watcher.session)]
                 before, now = watcher.alive, [key for key in tokens if matches(watcher.pattern, key)]
                 watcher.alive = now
                 for key in dict.fromkeys([*before, *now]):
@@ -120,21 +113,21 @@ class MemoryBus(Bus):
     def put(self, key: str, payload: bytes, *, encoding: str, channel: Channel = Channel.DATA) -> None:
         """Deliver a message to every subscriber before this call returns."""
         sample = Sample(key, bytes(payload), encoding)
-        for subscriber in self._visible(Kind.SUBSCRIBER):
+        for subscriber in self._visible("subscriber"):
             if matches(subscriber.pattern, key):
                 _call(subscriber.handler, sample)
 
     def subscribe(self, pattern: str, handler: SampleHandler) -> AbstractContextManager[None]:
         """Subscribe to messages."""
-        return self._declare(Kind.SUBSCRIBER, pattern, handler)
+        return self._declare("subscriber", pattern, handler)
 
     def answer_values(self, pattern: str, handler: ValuesHandler) -> AbstractContextManager[None]:
         """Answer queries with values."""
-        return self._declare(Kind.QUERYABLE, pattern, handler)
+        return self._declare("queryable", pattern, handler)
 
     def ask(self, key: str, payload: bytes = b"", *, parameters: str = "", timeout: float = 5.0) -> bytes:
         """Query a key."""
-        answerers = [each for each in self._visible(Kind.QUERYABLE) if matches(each.pattern, key)]
+        answerers = [each for each in self._visible("queryable") if matches(each.pattern, key)]
         if not answerers:
             raise NoReply(f"Nobody answers {key}.")
         try:
@@ -147,7 +140,7 @@ class MemoryBus(Bus):
 
     def ask_all(self, pattern: str, *, timeout: float = 2.0) -> dict[str, bytes]:
         """Query all matching keys."""
-        answerers, query = self._visible(Kind.QUERYABLE), Query(pattern, "", b"")
+        answerers, query = self._visible("queryable"), Query(pattern, "", b"")
         answers = [_query(each, query) for each in answerers if matches(each.pattern, pattern)]
         answered, _ = wait(answers, timeout)
         found = [answer.result() for answer in answers if answer in answered and not answer.exception()]
@@ -155,11 +148,11 @@ class MemoryBus(Bus):
 
     def token(self, key: str) -> AbstractContextManager[None]:
         """Declare a liveliness token."""
-        return self._declare(Kind.TOKEN, key)
+        return self._declare("token", key)
 
     def watch(self, pattern: str, handler: TokenHandler) -> AbstractContextManager[None]:
         """Watch tokens."""
-        return self._declare(Kind.WATCHER, pattern, handler)
+        return self._declare("watcher", pattern, handler)
 
     def on_link(self, handler: Callable[[bool], None]) -> AbstractContextManager[None]:
         """Report `disconnect` and `reconnect`."""

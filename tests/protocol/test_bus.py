@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from structlog.testing import capture_logs
 from tests.common import PATIENCE, free_port, own_endpoint
-from tests.fakes.memory_bus import MemoryBus, MemoryNetwork
+from tests.fakes.memory_bus import MemoryNetwork
 
 from qdgrasp_protocol import messages, session
 from qdgrasp_protocol.bus import (
@@ -321,37 +321,6 @@ class TestZenohBus:
         )
         done = subprocess.run([sys.executable, "-c", code], timeout=PATIENCE, check=False)
         assert done.returncode == 7
-
-
-class TestLocalBus:
-    def test_a_cut_link_loses_messages_and_tokens_and_mending_brings_tokens_back(self) -> None:
-        network = MemoryNetwork()
-        near, far = network.session(), network.session()
-        messages, tokens, links = Ear(), Ear(), Ear()
-        near.subscribe("test/a", messages)
-        near.watch("test/*", tokens)
-        far.on_link(links)
-        far.answer("test/q", lambda query: b"here")
-        far.token("test/far")
-        assert tokens.next() == ("test/far", True)
-        far.disconnect()
-        far.put("test/a", b"lost", encoding=TEXT)
-        assert links.next() is False
-        assert tokens.next() == ("test/far", False)
-        with pytest.raises(NoReply):
-            near.ask("test/q", timeout=PATIENCE)
-        far.reconnect()
-        far.put("test/a", b"heard", encoding=TEXT)
-        assert messages.next().payload == b"heard"
-        assert links.next() is True
-        assert tokens.next() == ("test/far", True)
-        assert near.ask("test/q", timeout=PATIENCE) == b"here"
-
-    def test_a_message_is_delivered_before_put_returns(self) -> None:
-        bus, heard = MemoryBus(MemoryNetwork()), []
-        bus.subscribe("test/a", heard.append)
-        bus.put("test/a", b"1", encoding=TEXT)
-        assert heard == [Sample("test/a", b"1", TEXT)]
 
 
 KEYS = Keys("mugs")
