@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 
@@ -415,11 +416,14 @@ OTHER_FORMATS = {
 
 
 def read_robot_element(path: Path) -> ET.Element:
-    """Read the `<robot>` element of a URDF; `AssetError` for xacro, other XML or no file."""
+    """Read the `<robot>` element of a URDF, or of a xacro file where xacro is installed.
+
+    `AssetError` for other XML or no file.
+    """
     if why := path_problem(path):
         raise AssetError(f"No URDF can be read at '{path}': it {why}; name the robot's .urdf file.")
     try:
-        text = _decoded(path.read_bytes())
+        text = _expanded(path) if path.suffix.lower() == ".xacro" else _decoded(path.read_bytes())
         undeclared = [f' xmlns:{each}="0"' for each in {*PREFIX.findall(text)} if f"xmlns:{each}" not in text]
         text = text.replace("<robot", "".join(["<robot", *undeclared]), 1)
         element = ET.fromstring(text)  # noqa: S314  # the user's own file; expat refuses entities that grow
@@ -437,7 +441,7 @@ def read_robot_element(path: Path) -> ET.Element:
         XACRO_TAG.match(each.tag) or any(map(XACRO_SUBSTITUTION.search, each.attrib.values()))
         for each in element.iter()
     )
-    if path.suffix.lower() == ".xacro" or is_xacro:
+    if is_xacro:
         raise AssetError(_xacro_advice(path))
     if element.tag != "robot":
         unknown = f"an XML file whose root is <{element.tag}>, and a URDF's is <robot>"
@@ -452,12 +456,34 @@ def _decoded(content: bytes) -> str:
     return content.decode(declared[1].decode() if declared else "utf-16" if is_utf_16 else "utf-8-sig")
 
 
+def _expanded(path: Path) -> str:
+    """Return the URDF that xacro makes of a file; its `$(find P)` is found as `package://P` is."""
+    try:
+        xacro = importlib.import_module("xacro")
+        arguments: Any = importlib.import_module("xacro.substitution_args")
+    except ImportError:
+        raise AssetError(_xacro_advice(path)) from None
+
+    def find(package: str) -> str:
+        found = next(filter(Path.is_dir, _mesh_places(path, f"package://{package}/")), None)
+        if found is None:
+            raise LookupError(f"the folder of the ROS package '{package}' is needed, from --package-path")
+        return str(found.resolve())
+
+    arguments._eval_find = find  # else ROS's own index is asked
+    try:
+        return str(xacro.process_file(str(path)).toxml())
+    except Exception as error:  # noqa: BLE001  # xacro evaluates expressions: any error may come
+        reason = getattr(error, "exc", None) or error
+        raise AssetError(f"xacro makes no URDF of '{path}': {reason}.") from None
+
+
 def _xacro_advice(path: Path) -> str:
     stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
     name = f"{stem}.urdf" if path.name != f"{stem}.urdf" else f"{stem}_plain.urdf"
     return (
         f"'{path}' is a xacro file, of which a URDF is made: run `xacro {path.name} > {name}` "
-        "(from ROS, or `pip install xacro`) and name that file."
+        "(from ROS) and name that file, or `pip install xacro` here and name a file that ends in .xacro."
     )
 
 

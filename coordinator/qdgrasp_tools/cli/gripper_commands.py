@@ -1,6 +1,7 @@
 """`qdgrasp gripper`: write the file of a custom hand with guessed values, and check it."""
 
 import math
+import os
 import shlex
 from collections.abc import Iterable
 from contextlib import ExitStack
@@ -74,6 +75,10 @@ def new(
         list[str] | None,
         typer.Option("--not-closing", metavar="JOINT", help="A joint that does not close; may be repeated."),
     ] = None,
+    package_path: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="DIR", help="A folder of ROS packages, which meshes or a xacro file name."),
+    ] = None,
     licence: Annotated[str | None, typer.Option(help="Licence of the hand's files.")] = None,
     repair: Annotated[
         bool,
@@ -89,6 +94,8 @@ def new(
 
     Example: qdgrasp gripper new my_hand.urdf --licence BSD-3-Clause --repair
     """  # noqa: D205  # typer joins the lines
+    places = [*map(str, package_path or ()), os.environ.get("ROS_PACKAGE_PATH", "")]
+    os.environ["ROS_PACKAGE_PATH"] = os.pathsep.join(places)
     given = DraftOverrides(
         licence=licence,
         base_link=base_link,

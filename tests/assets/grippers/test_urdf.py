@@ -1,3 +1,5 @@
+import sys
+
 import numpy as np
 import pytest
 
@@ -59,6 +61,30 @@ def test_a_mesh_of_a_ros_package_is_found_in_ros_package_path(claw, monkeypatch,
     for place in (folder.parent, folder):
         monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{place}")
         assert robot.mesh("package://claw_description/meshes/palm.stl") == b"mesh"
+
+
+XACRO = """<robot name="{name}" xmlns:xacro="http://www.ros.org/wiki/xacro">
+<xacro:include filename="$(find {package})/urdf/finger.xacro"/><link name="palm"/>
+<xacro:finger name="left" upper="${{2 * 0.02}}"/></robot>"""
+FINGER = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="finger" params="name upper">
+<link name="${name}"/>
+<joint name="${name}_slide" type="prismatic"><parent link="palm"/><child link="${name}"/>
+<axis xyz="1 0 0"/><limit lower="0" upper="${upper}" effort="1" velocity="1"/></joint>
+</xacro:macro></robot>"""
+
+
+def test_a_xacro_file_is_expanded_with_packages_from_ros_package_path(tmp_path, monkeypatch):
+    hand, package = tmp_path / "hand" / "hand.urdf.xacro", tmp_path / "ros" / "claw_description" / "urdf"
+    for file, text in ((hand, XACRO), (package / "finger.xacro", FINGER)):
+        file.parent.mkdir(parents=True)
+        file.write_text(text.format(name="claw", package="claw_description") if file == hand else text)
+    assert "package 'claw_description' is needed" in refused(hand, hand.read_bytes())
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ros"))
+    robot = read_urdf(hand)
+    assert [(joint.name, joint.upper) for joint in robot.joints] == [("left_slide", 0.04)]
+    assert "makes no URDF" in refused(hand, XACRO.format(name="claw", package="claw_description")[:-9])
+    monkeypatch.setitem(sys.modules, "xacro", None)
+    assert "`pip install xacro`" in refused(hand, hand.read_bytes())
 
 
 def refused(path, content):
