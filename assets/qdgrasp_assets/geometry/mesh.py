@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise, product
 from pathlib import Path
 
@@ -163,6 +164,7 @@ def read_parts(path: Path) -> tuple[Mesh, ...]:
         return parse_parts(path.read_text(encoding="utf-8"))
 
 
+@lru_cache(maxsize=32)  # of a hand they are asked for many times
 def parse_parts(text: str) -> tuple[Mesh, ...]:
     """Return the groups of an OBJ text that have triangles, polygons as fans; else `ValueError`."""
     vertices: list[list[float]] = []

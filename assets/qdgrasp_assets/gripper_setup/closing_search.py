@@ -327,17 +327,14 @@ class ClosingSearch:
         turned = (np.abs(tried - tried[0]) / spans).sum(axis=1)
         scores = badness + TURN_COST * turned
         order = np.argsort(scores, kind="stable").tolist()
-        if self._is_free(number, rest) and scores[order[0]] > scores[0] - MUCH_NEARER:
+        may_stay = not self._is_thumb(number) and all(map(self._may_rest_at_zero, rest))
+        if may_stay and scores[order[0]] > scores[0] - MUCH_NEARER:
             order = [0, *order]
         for best in (*order, order[0]):
             resting = {**plain, **dict(zip(rest, tried[best].tolist(), strict=True))}
             if not rest or self._is_clear(number, choices, resting):
                 break
         return FingerChoice(choices[number], float(scores[best]), resting)
-
-    def _is_free(self, number: int, names: Iterable[str]) -> bool:
-        """Return whether joints of a finger other than a thumb may stay at zero."""
-        return not self._is_thumb(number) and all(map(self._may_rest_at_zero, names))
 
     def _is_clear(self, number: int, choices: dict[int, Choice], resting: Posture) -> bool:
         """Return whether an open finger is in neither palm nor other fingers.
@@ -389,10 +386,11 @@ def group_posture(body: HandModel, group: JointGroup, share: float) -> Posture:
 
 
 def open_position(body: HandModel, name: str, closed: float) -> float:
-    """Return the open position: the other limit, or zero for a revolute joint where it is near."""
+    """Return the open position: the other limit, or for a hinge but a crank a zero near it."""
     low, high = body.range(name)
     other = low if closed > (low + high) / 2 else high
-    is_rest = body.joint(name).kind != "prismatic" and low < 0 < high
+    is_crank = any(each.leader == name and each.multiplier < 0 for each in body.followers.values())
+    is_rest = body.joint(name).kind != "prismatic" and low < 0 < high and not is_crank
     is_near = abs(other) <= NEAR_ZERO * (high - low) or np.isclose(low, -high)
     return 0.0 if is_rest and is_near else other
 

@@ -78,7 +78,7 @@ def hollow_meshes(hand: Urdf) -> Iterator[tuple[str, float]]:
         volume = sum(part.volume for part in parts)
         if not parts or isclose(volume, mesh.volume, rel_tol=VOLUME_TOLERANCE):
             continue
-        filled = FingerClearance(mesh).fit(parts).filled
+        filled = FingerClearance(mesh).filled(parts)
         if filled > MUCH_FILLED:
             yield link, filled
 
