@@ -112,13 +112,14 @@ class Mechanism:
 
 
 def efforts(mechanism: Mechanism) -> Floats:
-    """Return the greatest force or torque of joints (n,) [N, Nm] that actuators state; 0: none."""
+    """Return the greatest force or torque of joints (n,) [N, Nm] that is stated; 0: none."""
     model, (_, tendons), found = mechanism.model, mechanism.gradients(), np.zeros(len(mechanism.joints))
     for actuator, target, is_tendon in mechanism.motors():
         arms = tendons[target] if is_tendon else np.eye(len(found))[target]
         found += _greatest_force(model, actuator) * abs(model.actuator_gear[actuator, 0]) * np.abs(arms)
     bounds = np.abs(model.jnt_actfrcrange[mechanism.joints]).max(axis=1, initial=0)
-    return np.where(model.jnt_actfrclimited[mechanism.joints], np.minimum(found, bounds), found)
+    stated = np.where(found > 0, np.minimum(found, bounds), bounds)
+    return np.where(model.jnt_actfrclimited[mechanism.joints], stated, found)
 
 
 def _greatest_force(model: Any, actuator: int) -> float:

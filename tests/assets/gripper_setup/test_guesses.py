@@ -183,3 +183,10 @@ def test_limits_in_other_units_are_refused_and_converted(tmp_path, text, low, hi
         assert (after.lower, after.upper) == pytest.approx((before.lower * scale, before.upper * scale))
     assert {each.offset for each in followers(copy).values()} == {0.001}
     assert hand_faults(copy) == ()
+
+
+@pytest.mark.parametrize("low", [0.0, 0.35, 0.5])
+def test_a_crank_opens_to_its_limit_wherever_its_zero_is(guess, low):
+    text = LINKAGE_URDF.replace("-0.7", f"{low - 0.7}").replace('"0.7"', f'"{0.7 - low}"')
+    turned = text.replace('lower="0"', f'lower="{-low}"').replace('upper="0"', f'upper="{low}"')
+    assert guess(turned).file.joints["knuckle"].open == -low

@@ -64,6 +64,15 @@ def test_one_joint_follows_the_other(tmp_path, couples, multiplier, offset):
     assert any("'J1'" in note and "'J2'" in note for note in notes)
 
 
+@pytest.mark.parametrize(
+    ("motor", "effort"), [("", 0.2), ('forcerange="-1 1"', 0.2), ('forcerange="-0.1 0.1"', 0.1)]
+)
+def test_the_effort_of_a_joint_is_the_least_that_its_motor_and_itself_state(tmp_path, motor, effort):
+    actuator = f'<position joint="J1" kp="1" ctrlrange="0 1.57" {motor}/>'
+    robot, _ = finger(tmp_path, actuator=actuator, spring='actuatorfrcrange="-0.2 0.2"')
+    assert {joint.name: joint.effort for joint in robot.joints}["J1"] == effort
+
+
 def test_linkages_are_closed_by_their_followers(tmp_path):
     robot, notes = read_mjcf(example_mjcf.write(tmp_path, example_mjcf.LINKAGE))
     found = followers(robot)
