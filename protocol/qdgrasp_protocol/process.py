@@ -28,7 +28,7 @@ import structlog
 from setproctitle import setproctitle
 from structlog.typing import EventDict, ExcInfo
 
-from qdgrasp_protocol.errors import EndedEarly, InputError
+from qdgrasp_protocol.errors import EndedEarly, ImpossibleValue, InputError
 from qdgrasp_protocol.session import SECURITY_VARIABLE
 from qdgrasp_protocol.text import printable, printable_lines
 
@@ -36,9 +36,19 @@ SUPERVISED = "QDGRASP_SUPERVISED"
 """Set for a process that ends when its standard input is closed by its parent process."""
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Environment that limits each process to one thread."""
+WORKERS_PER_CORE, WORKER_BYTES = 4, 3e8  # More workers take memory, and no row comes sooner
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SIGNAL_REPEAT_INTERVAL = 0.1  # seconds in which the main thread hears a signal, as a rule
 ORPHAN_GRACE = 3.0  # seconds that an orphan may take to end by itself
+
+
+def check_workers(workers: int) -> None:
+    """Raise an ImpossibleValue for more workers than cores and memory of this machine hold."""
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    most = min(WORKERS_PER_CORE * (os.cpu_count() or 1), max(1, int(memory / WORKER_BYTES)))
+    if workers > most:
+        reason = f"{WORKERS_PER_CORE} a core, and one for each {WORKER_BYTES / 1e6:.0f} MB of memory"
+        raise ImpossibleValue("workers", workers, f"at most {most}, {reason}")
 
 
 class Stop:

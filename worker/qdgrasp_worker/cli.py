@@ -24,6 +24,7 @@ from qdgrasp_protocol.process import (
     ProcessExit,
     ProcessSupervisor,
     Stop,
+    check_workers,
     configure_logging,
     lifetime,
 )
@@ -110,6 +111,7 @@ def worker(
         os.environ.update(ONE_THREAD | os.environ)
         if worlds is not None and device is None:
             raise InputError("--worlds goes with a device: name it with --device.")
+        check_workers(workers)
         found = Device.find(device, worlds) if device else None
         if self_test:
             from qdgrasp_worker.platform import platform

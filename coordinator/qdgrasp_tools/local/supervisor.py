@@ -33,21 +33,19 @@ from qdgrasp_protocol.errors import (
     EXTRAS,
     EndedEarly,
     EndpointError,
-    ImpossibleValue,
     InputError,
     MessageError,
     check_packages,
 )
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import TRUST_VARIABLE
-from qdgrasp_protocol.process import OUTSIDE_CODES, ProcessExit, ProcessSupervisor, Stop
+from qdgrasp_protocol.process import OUTSIDE_CODES, ProcessExit, ProcessSupervisor, Stop, check_workers
 from qdgrasp_protocol.rows import GIVEN, Rows
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
 from qdgrasp_protocol.spec import DEVICE_ENGINE, DEVICE_VARIABLE, RunSpec, check_engine
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import ProgressDisplay
 
-WORKERS_PER_CORE = 4  # The most workers that are started here: more take memory, and no row comes sooner
 LOOK_INTERVAL = 0.05  # seconds between two looks at the processes
 SESSION_SECONDS = 2.0  # seconds that one try to open a session at the coordinator may take
 
@@ -67,8 +65,7 @@ class LocalJobConfig:
     """After so long the job ends, done or not; None: when it is done."""
 
     def __post_init__(self) -> None:
-        if self.workers > (most := WORKERS_PER_CORE * (os.cpu_count() or 1)):
-            raise ImpossibleValue("workers", self.workers, f"at most {most}, {WORKERS_PER_CORE} a core")
+        check_workers(self.workers)
 
     @property
     def security_flags(self) -> list[str]:

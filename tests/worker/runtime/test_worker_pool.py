@@ -5,7 +5,15 @@ import signal
 import pytest
 from typer.testing import CliRunner
 
-from qdgrasp_protocol.process import DiesAgain, ProcessExit, ProcessSupervisor, RestartPolicy, Stop
+from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.process import (
+    DiesAgain,
+    ProcessExit,
+    ProcessSupervisor,
+    RestartPolicy,
+    Stop,
+    check_workers,
+)
 from qdgrasp_protocol.session import SECURITY_VARIABLE
 from qdgrasp_worker import cli
 from qdgrasp_worker.cli import WorkerPool, app
@@ -14,6 +22,15 @@ from qdgrasp_worker.cli import WorkerPool, app
 def test_worlds_without_a_device_are_refused():
     refusal = CliRunner().invoke(app, ["--worlds", "64"]).exception
     assert "--worlds goes with a device: name it with --device" in str(refusal)
+
+
+@pytest.mark.parametrize(("cores", "gigabytes", "most"), [(2, 64, 8), (64, 6, 20), (1, 0.1, 1)])
+def test_more_workers_than_cores_or_memory_hold_are_refused(cores, gigabytes, most, monkeypatch):
+    monkeypatch.setattr("os.cpu_count", lambda: cores)
+    monkeypatch.setattr("os.sysconf", {"SC_PHYS_PAGES": gigabytes * 1e9 / 4096, "SC_PAGE_SIZE": 4096}.get)
+    check_workers(most)
+    with pytest.raises(ImpossibleValue, match=f"at most {most}, "):
+        check_workers(most + 1)
 
 
 class Restarts(ProcessSupervisor):
