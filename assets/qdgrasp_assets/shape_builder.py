@@ -16,9 +16,9 @@ import msgspec
 
 from qdgrasp_assets.asset_paths import write_whole
 from qdgrasp_assets.object_shape import ShapeStore, build_shape, pack_shape
-from qdgrasp_assets.process_limits import end_with_parent_only, limit_memory
 from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.errors import AssetError, QdgraspError, UnreadableHere
+from qdgrasp_protocol.process_limits import end_with_parent_only, limit_memory
 
 MOST_MEMORY = 4_000_000_000  # Memory that it may have [bytes]
 SIMPLIFY = "simplify it, for example with --mesh simplify=20000"

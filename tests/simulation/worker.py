@@ -16,7 +16,6 @@ from tests.fakes.messages import put
 from tests.simulation.network import Network, World
 from tests.simulation.process import Listen, Process, Steps
 
-from qdgrasp_assets.process_limits import STALL_SIGNAL, ProcessStats
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Build
 from qdgrasp_protocol.bus import Sample
@@ -24,6 +23,7 @@ from qdgrasp_protocol.errors import MessageError, NoReply, QdgraspError
 from qdgrasp_protocol.keys import Keys
 from qdgrasp_protocol.messages import Failure, Join, Joined, Result, worker_id
 from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.process_limits import STALL_SIGNAL, ProcessStats
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.runtime import service as serving
 from qdgrasp_worker.runtime.background_tasks import (

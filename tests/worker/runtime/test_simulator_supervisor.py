@@ -26,8 +26,8 @@ from tests.worker.runtime.scripted_simulator import (
     work,
 )
 
-from qdgrasp_assets.process_limits import PROBE_SECONDS, STALL_FACTOR
 from qdgrasp_protocol.messages import Result, Work
+from qdgrasp_protocol.process_limits import PROBE_SECONDS, STALL_FACTOR
 from qdgrasp_worker.runtime import simulator_supervisor
 from qdgrasp_worker.runtime.simulator_messages import BatchProgress
 from qdgrasp_worker.runtime.simulator_supervisor import (

@@ -19,7 +19,6 @@ from typing import TypeAlias
 import msgspec
 import structlog
 
-from qdgrasp_assets.process_limits import process_stats
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import Build
 from qdgrasp_protocol.bus import (
@@ -36,6 +35,7 @@ from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.keys import AnyJob, Keys, job_of
 from qdgrasp_protocol.messages import VERSION, Control, Heartbeat, Join, Work, shorten, worker_id, worker_key
 from qdgrasp_protocol.process import Stop
+from qdgrasp_protocol.process_limits import process_stats
 from qdgrasp_worker.runtime.background_tasks import (
     BackgroundRequests,
     BuildEnded,

@@ -15,9 +15,8 @@ from multiprocessing.connection import Connection
 
 from setproctitle import setproctitle
 
-from qdgrasp_assets import process_limits
 from qdgrasp_assets.scene import unpack_scene
-from qdgrasp_protocol import messages
+from qdgrasp_protocol import messages, process_limits
 from qdgrasp_protocol.errors import InputError, MessageError
 from qdgrasp_protocol.messages import Failure, shorten
 from qdgrasp_protocol.rows import COLUMNS, RESULT, pack, unpack

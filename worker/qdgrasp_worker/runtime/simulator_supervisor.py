@@ -19,7 +19,9 @@ from typing import Self
 
 import structlog
 
-from qdgrasp_assets.process_limits import (
+from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
+from qdgrasp_protocol.process import RestartPolicy
+from qdgrasp_protocol.process_limits import (
     CPU_LIMIT_SIGNAL,
     NO_STATS,
     PROBE_SECONDS,
@@ -28,8 +30,6 @@ from qdgrasp_assets.process_limits import (
     ProcessStats,
     process_stats,
 )
-from qdgrasp_protocol.errors import InputError, MessageError, QdgraspError
-from qdgrasp_protocol.process import RestartPolicy
 from qdgrasp_protocol.spec import Device
 from qdgrasp_worker.runtime.simulator_messages import (
     AnySimulatorMessage,
