@@ -42,7 +42,7 @@ def demo(out: Path = Path("runs/demo"), engine: str | None = None) -> None:
     """Fill an archive of grasps for the built-in Panda hand and mug, and draw them."""
     clear(out)
     spec = asked_spec(SPEC | ({"engine": engine} if engine else {}))
-    start_run(spec, out, LocalJobConfig(options.cores()), more={MARKER: b""})
+    start_run(spec, out, LocalJobConfig(options.worker_count(None)), more={MARKER: b""})
     picture = out / "grasps.png"
     folder = RunFolder.open(out)
     with folder.journal() as journal:

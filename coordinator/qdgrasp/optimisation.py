@@ -18,8 +18,9 @@ from qdgrasp.arguments import (
 from qdgrasp.backend import HERE, Place, SilentProgress, open_place
 from qdgrasp.runs import Run
 from qdgrasp_coordinator.scheduler.recorder_client import RecorderClient
-from qdgrasp_coordinator.scheduler.run_plan import SingleRunQueue, plan_run, prepare_scene
+from qdgrasp_coordinator.scheduler.run_plan import NamedRunQueue, plan_run, prepare_scene
 from qdgrasp_coordinator.search.registry import CUSTOM
+from qdgrasp_coordinator.storage.job_folder import RUN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue, InputError, UnknownName
 from qdgrasp_protocol.process import Stop
@@ -178,7 +179,9 @@ def optimise(
             session.start_recorder(folder.path)
             session.start_workers(place.hands)
             session.coordinate(
-                SingleRunQueue(lambda: plan_run(spec, prepared, search=next(searches)), spec.evaluations),
+                NamedRunQueue(
+                    lambda _: plan_run(spec, prepared, search=next(searches)), {RUN: spec.evaluations}
+                ),
                 lambda run: RecorderClient(session.bus, session.job, run.shape),
                 Stop(),
                 place.batch_size,

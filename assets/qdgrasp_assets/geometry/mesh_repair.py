@@ -287,7 +287,8 @@ def fill_small_holes(mesh: Mesh, *, flat: bool = False) -> tuple[Mesh, str]:
     rims = [
         hole
         for hole in MeshEdges(mesh).holes
-        if _is_ring(hole) and (edges_width(mesh, hole) <= widest or (flat and _is_flat(mesh, hole)))
+        if np.array_equal(np.unique(hole[:, 0]), np.sort(hole[:, 1]))  # it visits each vertex once
+        and (edges_width(mesh, hole) <= widest or (flat and _is_flat(mesh, hole)))
     ]
     if not rims:
         return mesh, ""
@@ -299,11 +300,6 @@ def fill_small_holes(mesh: Mesh, *, flat: bool = False) -> tuple[Mesh, str]:
     where = point_in_words(edges_middle(mesh, rims[0]))
     widest = f"the widest, {edges_width(mesh, rims[0]):.4f} m, at {where}"
     return Mesh(np.concatenate(vertices), np.concatenate(faces)), f"{len(rims)} holes filled, {widest}"
-
-
-def _is_ring(hole: Numbers) -> bool:
-    """Return whether the rim of a hole (k, 2) visits each of its vertices once."""
-    return np.array_equal(np.unique(hole[:, 0]), np.sort(hole[:, 1]))
 
 
 def _is_flat(mesh: Mesh, rim: Numbers) -> bool:

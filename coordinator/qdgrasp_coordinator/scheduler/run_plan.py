@@ -3,6 +3,7 @@
 A plan turns a user's spec into a run that can be carried out: spec, scene, search and pipeline.
 """
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -249,24 +250,21 @@ class RunQueue(Protocol):
         return None
 
 
-class SingleRunQueue(RunQueue):
-    """The queue of a job with one run; `make` makes it, at its very beginning."""
+class NamedRunQueue(RunQueue):
+    """The queue of a job with a few runs; `make` makes each by its name, at its very beginning."""
 
-    def __init__(self, make: Callable[[], RunPlan], evaluations: int) -> None:
-        self.extent = JobExtent.of({RUN: evaluations})
+    def __init__(self, make: Callable[[str], RunPlan], budgets: Mapping[str, int]) -> None:
+        self.extent = JobExtent.of(budgets)
         self._make = make
-        self._is_due = True
+        self._left = deque(budgets)
 
     def next(self) -> RunPlan | None:
-        """The run, whenever it is due."""
-        if not self._is_due:
-            return None  # and nothing is written: it may be put back meanwhile
-        self._is_due = False
-        return self._make()
+        """Return the next run; None when all were given."""
+        return self._make(self._left.popleft()) if self._left else None
 
     def put_back(self, run: str) -> None:
-        """Have the run made again."""
-        self._is_due = True
+        """Have a run made again, before any other."""
+        self._left.appendleft(run)
 
 
 RUN_DEFAULTS = {"protocol": "physical"}

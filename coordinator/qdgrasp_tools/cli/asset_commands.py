@@ -197,7 +197,9 @@ def check_object(
     if repaired is not None:
         file, metres, prepared = str(repaired), None, MeshPreparation(glued=glued)
     changes = options.mesh_words(prepared)
-    echo(f"next: {_next(file, metres, mass)}{f' --mesh {changes}' if changes else ''}", err=as_json)
+    size = "" if metres is None else f" {scale_in_words(metres)}"
+    weight = f" --mass {'KG' if mass is None else f'{mass:g}'}{f' --mesh {changes}' if changes else ''}"
+    echo(f"next: qdgrasp run --gripper panda --object {shlex.quote(file)}{size}{weight}", err=as_json)
 
 
 def _made(
@@ -216,9 +218,3 @@ def _drawn(found: AssetReport, draft: ObjectDraft, path: Path, folder: Path) -> 
     facts = file_facts(RunSpec(gripper="", object=str(path), mass=1.0))
     body = ObjectModel(**vars(facts), **vars(geometry_of(draft)))
     return draw_asset(body, path.name, folder)
-
-
-def _next(file: str, scale: float | None, mass: float | None) -> str:
-    size = "" if scale is None else f" {scale_in_words(scale)}"
-    weight = "KG" if mass is None else f"{mass:g}"
-    return f"qdgrasp run --gripper panda --object {shlex.quote(file)}{size} --mass {weight}"

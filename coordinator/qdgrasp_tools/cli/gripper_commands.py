@@ -5,6 +5,7 @@ import os
 import shlex
 from collections.abc import Iterable
 from contextlib import ExitStack
+from itertools import islice
 from pathlib import Path
 from typing import Annotated
 
@@ -18,9 +19,11 @@ from qdgrasp_assets.grippers.gripper import read_gripper
 from qdgrasp_coordinator.storage.hand_files import read_tree, relative_name, usable_robot
 from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_protocol.cli_support import echo
-from qdgrasp_protocol.errors import ImpossibleValue
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue
+from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import parse_numbers
 from qdgrasp_tools.cli import asset_commands, options
+from qdgrasp_tools.verification.hand_test import try_hand
 
 Vector3 = tuple[float, float, float]
 
@@ -89,6 +92,9 @@ def new(
     """Write the file of a gripper, with a picture beside it:
     what flags say, the rest guessed from the URDF, each line with its reason.
 
+    At the end the hand closes on a ball and a box that fit it in the simulator; where it holds neither, or a
+    finger never touches, the exit code is 2.
+
     --repair writes a copy of the hand beside the file, with masses where there are none, meshes in metres,
     hollow ones in convex parts, and the base link in the middle of the fingers.
 
@@ -122,6 +128,16 @@ def new(
     hand = read_gripper(target, target.stem, target.name)
     echo(f"drawn: {asset_commands.draw_asset(hand, target.name, target.parent)}")
     echo("look at it: does the arrow go from the palm to the fingertips, and do the fingers close on it?")
+    with lifetime("qdgrasp gripper new") as stop:
+        tested = try_hand(hand, target, made.closing, stop)
+    if tested is None:
+        raise typer.Exit(stop.exit_code)
+    if tested.fault:
+        raise AssetError(
+            f"The hand of '{target}' does not grasp: {tested.fault}. Look at its picture, and make the file "
+            f"again with --force and one of these: {'; '.join(islice(tested.flags(), 3))}."
+        )
+    echo("tested: it holds a ball and a box that fit it, and all of its fingers touch them")
     echo(f"next: qdgrasp run --gripper {shlex.quote(str(target))} --object mug")
 
 

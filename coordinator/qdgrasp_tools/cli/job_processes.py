@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import structlog
 import typer
 
-from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol import cli_support
@@ -125,7 +125,7 @@ def runs_of_job(what: Path, folder: JobFolder | None) -> "RunQueue":
     else:
         run = RunFolder.open(what)
         spec, prepared = run.spec, run.prepared_scene()
-    return run_plan.SingleRunQueue(lambda: run_plan.plan_run(spec, prepared), spec.evaluations)
+    return run_plan.NamedRunQueue(lambda _: run_plan.plan_run(spec, prepared), {RUN: spec.evaluations})
 
 
 @APPS["recorder"].command()

@@ -28,10 +28,6 @@ from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.supervisor import local_platform
 
 
-class MissingRequirement(InputError):
-    """A requirement of runs is missing."""
-
-
 def doctor() -> None:
     """Check what a run needs on this machine: engines, bus, simulator, disk and assets.
 
@@ -39,7 +35,7 @@ def doctor() -> None:
     """
     checks: dict[str, Callable[[], str]] = {
         "engines": _check_engines,
-        "cores": lambda: str(options.cores()),
+        "cores": lambda: str(options.worker_count(None)),
         "bus": _check_bus,
         "simulator": _check_simulator,
         "disk": _check_disk,
@@ -47,7 +43,7 @@ def doctor() -> None:
     }
     failed = [name for name, check in checks.items() if not _report(name, check)]
     if failed:
-        raise MissingRequirement(f"{len(failed)} of {len(checks)} checks failed: {', '.join(failed)}.")
+        raise InputError(f"{len(failed)} of {len(checks)} checks failed: {', '.join(failed)}.")
 
 
 def _report(name: str, check: Callable[[], str]) -> bool:

@@ -196,11 +196,6 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and no
 Force = Annotated[bool, typer.Option("--force", help="Replace the output if it is there.")]
 
 
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
-
-
 def is_robot_file(name: str) -> bool:
     """Return whether a gripper is named by its URDF or MJCF file, of which the rest is guessed."""
     return name.lower().endswith((".urdf", ".xacro", ".xml", ".mjcf", ".sdf"))
@@ -215,7 +210,7 @@ def scene_words(spec: RunSpec) -> str:
 
 def worker_count(workers: int | None, *engines: str | None) -> int:
     """Return the number of workers that was given, else one per core, or one for a device."""
-    return workers if workers is not None else 1 if DEVICE_ENGINE in engines else cores()
+    return workers if workers is not None else 1 if DEVICE_ENGINE in engines else len(os.sched_getaffinity(0))
 
 
 def given(**values: Any) -> dict[str, Any]:

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from qdgrasp_coordinator.metrics.job_status import JobStatus, from_json
 from qdgrasp_coordinator.scheduler.coordinator_service import CoordinatorService
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
-from qdgrasp_coordinator.scheduler.run_plan import RunPlan, RunQueue, SingleRunQueue, plan_genomes
-from qdgrasp_coordinator.storage.job_folder import JobFolder
+from qdgrasp_coordinator.scheduler.run_plan import NamedRunQueue, RunPlan, RunQueue, plan_genomes
+from qdgrasp_coordinator.storage.job_folder import RUN, JobFolder
 from qdgrasp_coordinator.storage.outputs import ENDPOINT
 from qdgrasp_coordinator.storage.run_folder import PreparedScene
 from qdgrasp_protocol.bus import Bus, Sample
@@ -379,9 +379,6 @@ def run_temporary_job(
         here.coordinate(queue, make_record, stop)
 
 
-SCORING_JOB = "evaluate"
-
-
 def score_genomes(
     spec: RunSpec,
     prepared: PreparedScene,
@@ -392,6 +389,6 @@ def score_genomes(
 ) -> Rows:
     """Evaluate genomes (n, d) of the prior `given` in a scene; returns rows in journal order."""
     plan = plan_genomes(spec, prepared, GIVEN, genomes)
-    memory, queue = RowSink(plan.shape), SingleRunQueue(lambda: plan, len(genomes))
-    run_temporary_job(SCORING_JOB, queue, lambda _: memory, config, display, stop)
+    memory, queue = RowSink(plan.shape), NamedRunQueue(lambda _: plan, {RUN: len(genomes)})
+    run_temporary_job("evaluate", queue, lambda _: memory, config, display, stop)
     return memory.rows

@@ -3,7 +3,7 @@
 Rows are drawn so that each outcome has its share, and evaluated as runs of a temporary job.
 """
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,12 +16,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.scene import pack_scene
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
-from qdgrasp_coordinator.scheduler.run_plan import (
-    JobExtent,
-    ReevaluationPlan,
-    RunPlan,
-    RunQueue,
-)
+from qdgrasp_coordinator.scheduler.run_plan import NamedRunQueue, ReevaluationPlan, RunPlan
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import check_table, write_table
@@ -83,11 +78,10 @@ class RowSelection:
         return np.concatenate(parts)
 
 
-VERIFICATION_JOB = "verify"
 TRIAL_KIND = 16  # Offset of a trial's kind from that of a nominal row with the same outcome
 
 
-class ReevaluationQueue(RunQueue):
+class ReevaluationQueue(NamedRunQueue):
     """Queue of selections of rows that are evaluated again, and the results so far.
 
     Each selection is read when it is next.
@@ -95,26 +89,17 @@ class ReevaluationQueue(RunQueue):
 
     def __init__(self, selections: Sequence[RowSelection]) -> None:
         self._selections = {str(number): one for number, one in enumerate(selections)}
-        self._left = deque(self._selections)
+        super().__init__(self._plan, {name: len(one.numbers) for name, one in self._selections.items()})
         self._sinks: list[RowSink] = []
-        self.extent = JobExtent.of({name: len(one.numbers) for name, one in self._selections.items()})
         self.different: list[DifferentRow] = []
         self.columns: Counter[str] = Counter()
         self.outcomes: Counter[Outcome] = Counter()
 
-    def next(self) -> RunPlan | None:
-        """Return the next selection as a run; None when all were given."""
-        if not self._left:
-            return None
-        name = self._left.popleft()
+    def _plan(self, name: str) -> RunPlan:
         selection = self._selections[name]
         spec, recorded = selection.found_by.spec, selection.rows()
         plan = ReevaluationPlan(spec, recorded, partial(self.add_row, selection, recorded))
         return RunPlan.of(spec, selection.folder.prepared_scene(), lambda _shape: plan, run=name)
-
-    def put_back(self, run: str) -> None:
-        """Have a selection evaluated from its beginning, before any other."""
-        self._left.appendleft(run)
 
     def make_sink(self, plan: RunPlan) -> RowSink:
         """Make the in-memory sink of a selection."""
@@ -174,7 +159,7 @@ def verify_rows(
     """
     check_engines(selection.found_by.spec for selection in selections)
     found = ReevaluationQueue(selections)
-    run_temporary_job(VERIFICATION_JOB, found, found.make_sink, config, display, stop)
+    run_temporary_job("verify", found, found.make_sink, config, display, stop)
     rows = sum(found.outcomes.values())
     return VerificationReport(
         rows=rows,

@@ -3,18 +3,34 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.assets import example_hands, example_mjcf
 from typer.testing import CliRunner
 
+from qdgrasp_assets.gripper_setup.hand_trial import HandTrial
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue
+from qdgrasp_protocol.rows import Outcome, RowShape
+from qdgrasp_tools.cli import gripper_commands
 from qdgrasp_tools.cli.gripper_commands import gripper_app
+from qdgrasp_tools.verification import hand_test
+
+
+def trial_of(hand, closing, outcome):
+    """Evaluations of a hand that all ended so, with all of its fingers on the object."""
+    links = [link for finger in closing.fingers for link in finger.links]
+    rows = RowShape(8, 1, len(links)).empty(9)
+    rows["outcome"], rows["contact_links"] = outcome, np.arange(1, 1 + len(links))
+    return HandTrial(closing, hand.file, links, rows)
 
 
 @pytest.fixture
 def gripper(monkeypatch, tmp_path):
-    """`qdgrasp gripper` in a folder with the URDF of the jaw."""
+    """`qdgrasp gripper` in a folder with the URDF of the jaw; hands are taken to grasp."""
+    monkeypatch.setattr(
+        gripper_commands, "try_hand", lambda hand, _, closing, __: trial_of(hand, closing, Outcome.HELD)
+    )
     monkeypatch.chdir(tmp_path)
     Path("jaw.urdf").write_text(example_hands.JAW_URDF)
     return lambda *words, **more: CliRunner().invoke(gripper_app, words, **more)
@@ -36,6 +52,26 @@ def test_new_writes_a_file_that_check_finds_good(gripper):
     assert read_gripper_file(Path("jaw.toml")).licence == "CC0"
     found = json.loads(gripper("check", "jaw.toml", "--json").stdout)
     assert (found["faults"], found["base_link"], found["fingers"]) == ([], "palm", 2)
+
+
+def test_a_new_hand_is_tried_in_the_simulator(gripper, monkeypatch):
+    monkeypatch.setattr(gripper_commands, "try_hand", hand_test.try_hand)
+    done = gripper("new", "jaw.urdf")
+    assert done.exit_code == 0, done.exception
+    assert "tested: it holds" in done.stdout
+
+
+def test_a_hand_that_does_not_grasp_ends_with_its_picture_and_flags(gripper, monkeypatch):
+    monkeypatch.setattr(
+        gripper_commands, "try_hand", lambda hand, _, closing, __: trial_of(hand, closing, Outcome.MISSED)
+    )
+    done = gripper("new", "jaw.urdf")
+    assert isinstance(done.exception, AssetError)
+    assert [flag in str(done.exception) for flag in ("--closed", "--approach-axis", "--base-link")] == [
+        True
+    ] * 3
+    assert "next:" not in done.stdout
+    assert Path("jaw.png").is_file()
 
 
 def test_flags_are_taken_before_guesses(gripper):
