@@ -28,6 +28,8 @@ class Hull:
     """(t, 3, 3) [m]: its surface."""
     corners: Floats
     """(v, 3) [m]: the points that it is the hull of."""
+    ends: Floats
+    """(e, 3) [m]: those of the points that are not within it."""
 
     @property
     def normals(self) -> Floats:
@@ -57,8 +59,8 @@ class Hull:
         triangles = self.triangles @ rotation.T + shift
         corners = triangles.reshape(-1, 3)
         planes = np.column_stack([normals, offsets])
-        placed = self.corners @ rotation.T + shift
-        return Hull(planes, corners.min(axis=0), corners.max(axis=0), triangles, placed)
+        placed, ends = (points @ rotation.T + shift for points in (self.corners, self.ends))
+        return Hull(planes, corners.min(axis=0), corners.max(axis=0), triangles, placed, ends)
 
 
 def convex_hulls(parts: Iterable[Floats]) -> list[Hull]:
@@ -74,7 +76,8 @@ def convex_hulls(parts: Iterable[Floats]) -> list[Hull]:
         _, first = np.unique(hull.equations.round(PLANE_DECIMALS), axis=0, return_index=True)
         planes = hull.equations[np.sort(first)]
         surface = corners[hull.simplices]
-        found.append(Hull(planes, corners.min(axis=0), corners.max(axis=0), surface, corners))
+        ends = corners[hull.vertices]
+        found.append(Hull(planes, corners.min(axis=0), corners.max(axis=0), surface, corners, ends))
     return found
 
 

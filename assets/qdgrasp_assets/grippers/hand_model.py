@@ -122,7 +122,7 @@ def is_deep(one: Hull, other: Hull, limit: float) -> bool:
     if (np.minimum(one.high, other.high) - np.maximum(one.low, other.low) < limit).any():
         return False
     for first, second in ((one, other), (other, one)):
-        heights = (first.normals @ second.corners.T).min(axis=1) + first.planes[:, 3]
+        heights = (first.normals @ second.ends.T).min(axis=1) + first.planes[:, 3]
         if (heights > -limit).any():
             return False
     return depth(one, other) >= limit
