@@ -41,3 +41,27 @@ def parse_numbers(text: str) -> list[float]:
         return [float(word) for word in text.split(",")]
     except ValueError:
         return []
+
+
+def rough_time(seconds: float) -> str:
+    """Return a time in words, no finer than an estimate is: 40 s, 12 min, 3 h 10 min, 5 days."""
+    hours, tens = divmod(round(seconds / 600), 6)
+    if seconds < 90:
+        return f"{5 * max(1, round(seconds / 5))} s"
+    if not hours:
+        return f"{round(seconds / 60)} min"
+    if hours < 10:
+        return f"{hours} h {10 * tens} min" if tens else f"{hours} h"
+    return f"{round(seconds / 3600)} h" if hours < 72 else f"{round(seconds / 86_400)} days"
+
+
+def aligned_text(lines: Sequence[Sequence[str]], left: Iterable[int] = ()) -> str:
+    """Return lines of cells in columns for a terminal, right-aligned but for those in `left`."""
+    widths, lefts = [max(map(len, column)) for column in zip(*lines, strict=True)], set(left)
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if place in lefts else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )

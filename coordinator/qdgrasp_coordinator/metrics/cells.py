@@ -43,6 +43,13 @@ def cell_keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
     return (shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2]
 
 
+def first_occurrences(keys: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Flag the first occurrence of each number (n,): (n,)."""
+    first = np.zeros(len(keys), dtype=bool)
+    first[np.unique(keys, return_index=True)[1]] = True
+    return first
+
+
 BINS = 60
 TURN = (-2.0, -2.0, -2.0, 3.0)
 """Rotation of the bin middles, a quaternion xyzw before normalisation.

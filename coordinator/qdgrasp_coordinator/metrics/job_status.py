@@ -14,7 +14,7 @@ from msgspec import Meta, Struct, field, structs
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve, RunCounter, RunTotals
 from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import shorten
-from qdgrasp_protocol.text import counted
+from qdgrasp_protocol.text import counted, rough_time
 
 RUNS_PER_PAGE = 256  # The most entries in one answer
 
@@ -43,12 +43,9 @@ class RunListing(RunTotals, frozen=True, kw_only=True):
         spec = counter.spec
         return RunListing(
             **structs.asdict(counter.totals),
+            **{name: getattr(spec, name) for name in ("gripper", "object", "method", "seed")},
             run=run,
-            gripper=spec.gripper,
-            object=spec.object,
-            method=spec.method,
             protocol=spec.protocol_words,
-            seed=spec.seed,
             scene=scene,
             budget=spec.evaluations,
             rows=counter.rows,
@@ -139,8 +136,8 @@ class JobEvent(Struct, frozen=True, kw_only=True):
     kind: Annotated[
         EventKind,
         (
-            "job, run, worker, recorder; warning makes results worse, as a coarse shape does; trouble keeps "
-            "a job from going on; error: a row, a run or an object is given up."
+            "job, run, worker, recorder; warning makes results worse, as a coarse shape does; trouble: "
+            "a job, or a worker, does not go on; error: a row, a run or an object is given up."
         ),
     ]
     words: Annotated[str, "What, in a sentence for a person."]
@@ -245,18 +242,6 @@ class TimedProgress:
         if seconds is None or seconds > LONGEST_WAIT:
             return "time left not known yet"
         return f"about {rough_time(seconds)} left"
-
-
-def rough_time(seconds: float) -> str:
-    """Return a time in words, no finer than an estimate is: 40 s, 12 min, 3 h 10 min, 5 days."""
-    hours, tens = divmod(round(seconds / 600), 6)
-    if seconds < 90:
-        return f"{5 * max(1, round(seconds / 5))} s"
-    if not hours:
-        return f"{round(seconds / 60)} min"
-    if hours < 10:
-        return f"{hours} h {10 * tens} min" if tens else f"{hours} h"
-    return f"{round(seconds / 3600)} h" if hours < 72 else f"{round(seconds / 86_400)} days"
 
 
 class RunStatus(RunListing, TimedProgress, frozen=True, kw_only=True):

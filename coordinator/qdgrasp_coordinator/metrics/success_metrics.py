@@ -17,6 +17,7 @@ from qdgrasp_coordinator.metrics.cells import (
     cell_keys,
     cell_of,
     cells,
+    first_occurrences,
     without_orientation,
     without_synergy,
 )
@@ -55,13 +56,6 @@ def step_series(
     """Add `changes` (n,) up, each of which came with the counted evaluation of that number (n,)."""
     some = np.flatnonzero(changes)
     return StepSeries(evaluations[some], np.cumsum(changes[some], dtype=np.int64))
-
-
-def first_occurrences(keys: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Flag the first occurrence of each number (n,): (n,)."""
-    first = np.zeros(len(keys), dtype=bool)
-    first[np.unique(keys, return_index=True)[1]] = True
-    return first
 
 
 ROUNDING = 1e-6  # Taken from every nu [rad]: where a prior ends at pi / 4, float32 goes beyond

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from qdgrasp_assets.geometry.rotation import Floats, dot, rotate, tangents, unit
 from qdgrasp_coordinator.metrics.arrays import take_rows
-from qdgrasp_coordinator.metrics.cells import BINS, PER_METRE, cells, orientations
+from qdgrasp_coordinator.metrics.cells import BINS, PER_METRE, cells, first_occurrences, orientations
 from qdgrasp_coordinator.metrics.contact_niches import combined_niches, contact_niches, link_contacts
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion
 from qdgrasp_coordinator.search.base import PositionBox, SearchSpace
@@ -65,12 +65,12 @@ class Proposals:
         )
 
 
-class CellGrid:
+class CellGrid(CellBox):
     """The cells of a box as places in a grid, with a rim of one cell that no step leaves."""
 
     def __init__(self, box: PositionBox) -> None:
-        self._low, self._high = cells(np.stack([np.asarray(corner) for corner in box]))
-        self._shape = tuple((self._high - self._low + 3).tolist())
+        super().__init__(box)
+        self._shape = tuple((self.high - self.low + 3).tolist())
         self.size = int(np.prod(self._shape))
         self._around = NEIGHBOURS @ np.array([self._shape[1] * self._shape[2], self._shape[2], 1])
         inside = np.zeros(self._shape, np.bool_)
@@ -81,15 +81,14 @@ class CellGrid:
     def places(self, positions: ArrayLike) -> Places:
         """The place (n,) of each position (n, 3) [m]; outside the box that of a corner of the rim."""
         found = cells(positions)
-        inside = ((found >= self._low) & (found <= self._high)).all(axis=1)
-        shifted = np.where(inside[:, None], found - self._low + 1, 0)
+        shifted = np.where(self.contains(found)[:, None], found - self.low + 1, 0)
         places: Places = np.ravel_multi_index(tuple(shifted.T), self._shape)
         return places
 
     def middles(self, places: Places) -> Floats:
         """The middle (n, 3) [m] of the cells at `places` (n,)."""
         indices = np.stack(np.unravel_index(places, self._shape), axis=1)
-        middles: Floats = (indices - 1 + self._low) / PER_METRE
+        middles: Floats = (indices - 1 + self.low) / PER_METRE
         return middles
 
     def around(self, places: Places) -> Places:
@@ -136,9 +135,8 @@ class Explored:
 
     @staticmethod
     def _flags(keys: NDArray[np.integer], chosen: Callable[[int], bool]) -> NDArray[np.bool_]:
-        some, first = np.unique(keys, return_index=True)
-        found = np.zeros(len(keys), np.bool_)
-        found[first] = [chosen(key) for key in some.tolist()]
+        found = first_occurrences(keys)
+        found[found] = [chosen(key) for key in keys[found].tolist()]
         return found
 
 
@@ -158,9 +156,8 @@ class GraspMap:
         self._by = spec.diversity or "position"
         hand = space.scene.gripper
         self._axis, self._reach = np.array([hand.approach_axis]), hand.reach
-        self._box = CellBox(space.box)
         fields = {"middle": ((3,), np.float64), "line": ((3,), np.float64)}
-        make = partial(self._box.archive, space.genes, dtype=np.float64, extra_fields=fields)
+        make = partial(self.grid.archive, space.genes, dtype=np.float64, extra_fields=fields)
         self._archive = cache(make)  # pyribs is loaded when the first grasp holds
         self._set_elites(np.empty((0, space.genes)), np.empty((0, 3)), np.empty((0, 3)))
 
@@ -171,8 +168,7 @@ class GraspMap:
     def levels(self, proposals: Proposals) -> NDArray[np.intp]:
         """Return how little each pose promises that is new: (n,), 0 the most, up to `NOTHING_NEW`."""
         places, niches, grips = self._keys(proposals)
-        is_first = np.zeros(len(places), np.bool_)
-        is_first[np.unique(places, return_index=True)[1]] = True
+        is_first = first_occurrences(places)
         by_cell = is_first & ~self.held[places] & (self.tries[places] < MOST_TRIES)
         by_niche, by_grip = self.niches.is_open(niches), self.grips.is_open(grips)
         wanted = {"position": by_cell, "orientation": by_niche, "contact": by_grip}[self._by]
@@ -241,9 +237,7 @@ class GraspMap:
 
     def _hold(self, places: Places) -> NDArray[np.bool_]:
         """Record grasps that hold in cells; flag those (n,) that are the first in theirs."""
-        some, first = np.unique(places, return_index=True)
-        is_new = np.zeros(len(places), np.bool_)
-        is_new[first] = ~self.held[some]
+        is_new = first_occurrences(places) & ~self.held[places]
         new = places[is_new]
         self.held[new] = True
         np.add.at(self.neighbours, self.grid.around(new).ravel(), 1)

@@ -117,25 +117,21 @@ class EliteArchive:
 
     def insert(self, rows: Rows) -> None:
         """Offer rows, elder ones first; overlaps, dead ends and errors are ignored."""
-        offered = _offered(rows, self._box)
+        valid = take_rows(rows, rows["outcome"] >= Outcome.MISSED)
+        offered = take_rows(valid, self._box.contains(cells(valid["descriptor"][:, :3])))
+        is_success = offered["outcome"] >= Outcome.DROPPED
         if len(offered):
-            self._grid.add(offered["genome"], _objectives(offered), cells(offered["descriptor"][:, :3]))
+            objectives = np.where(is_success, offered["fitness"], np.float32(FAILED))
+            self._add(offered["genome"], objectives, offered["descriptor"][:, :3])
 
-
-def _offered(rows: Rows, box: CellBox) -> Rows:
-    """The rows of valid poses in the box."""
-    valid = take_rows(rows, rows["outcome"] >= Outcome.MISSED)
-    return take_rows(valid, box.contains(cells(valid["descriptor"][:, :3])))
-
-
-def _objectives(rows: Rows) -> NDArray[np.float32]:
-    return np.where(rows["outcome"] >= Outcome.DROPPED, rows["fitness"], np.float32(FAILED))
+    def _add(self, genomes: Genomes, objectives: NDArray[np.float32], positions: ArrayLike) -> None:
+        self._grid.add(genomes, objectives, cells(positions))
 
 
 DNS_CAPACITY, DNS_NEIGHBOURS = 1000, 3
 
 
-class DominatedArchive:
+class DominatedArchive(EliteArchive):
     """Elites far from fitter ones: dominated novelty search (Bahlous-Boldi et al. 2025)."""
 
     def __init__(self, genes: int, box: PositionBox) -> None:
@@ -156,11 +152,8 @@ class DominatedArchive:
         held = self._kept.data(["solution", "objective"])
         return ArchiveElites(held["solution"], held["objective"] > FAILED)
 
-    def insert(self, rows: Rows) -> None:
-        """Offer rows; overlaps, dead ends and errors are ignored."""
-        offered = _offered(rows, self._box)
-        if len(offered):
-            self._kept.add(offered["genome"], _objectives(offered), offered["descriptor"][:, :3])
+    def _add(self, genomes: Genomes, objectives: NDArray[np.float32], positions: ArrayLike) -> None:
+        self._kept.add(genomes, objectives, positions)
 
 
 def ribs_archive(box: PositionBox, rows: Rows, objectives: NDArray[np.float64]) -> "GridArchive":
@@ -212,7 +205,7 @@ class MapElites:
         genes: int,
         box: PositionBox,
         select: Select,
-        make_archive: Callable[[int, PositionBox], EliteArchive | DominatedArchive] = EliteArchive,
+        make_archive: Callable[[int, PositionBox], EliteArchive] = EliteArchive,
     ) -> None:
         self.archive = make_archive(genes, box)
         self._spec = spec

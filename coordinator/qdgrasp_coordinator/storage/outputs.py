@@ -19,9 +19,6 @@ from tempfile import TemporaryDirectory
 from qdgrasp_protocol.errors import DiskFull, FolderError, OutputError
 from qdgrasp_protocol.text import first_few
 
-PNG_SIGNATURE = {"Software": "qdgrasp"}  # Metadata that `savefig` writes into a PNG file
-PNG_HEAD = 4096  # Bytes of a file that are looked at
-
 JOB, ENDPOINT, LOCK, SUPERVISED = "job.json", "endpoint", "lock", "supervised"
 CAMPAIGN, LOGS, RUNS = "campaign.toml", "logs", "runs"
 SPEC, SCENE, JOURNAL = "spec.toml", "scene.bundle", "run.sqlite"
@@ -261,10 +258,3 @@ def _what(path: Path) -> str:
     if stat.S_ISLNK(mode):
         return "a link" if path.exists() else "a link to nothing"
     return FILE if stat.S_ISREG(mode) else FOLDER if stat.S_ISDIR(mode) else "a device or pipe"
-
-
-def is_drawn_here(path: Path) -> bool:
-    """Return whether a file is a PNG that was drawn here."""
-    with path.open("rb") as file:
-        head = file.read(PNG_HEAD)
-    return head.startswith(b"\x89PNG") and b"tEXtSoftware\0qdgrasp" in head

@@ -69,15 +69,3 @@ def _parsed_rows(lines: Sequence[Sequence[str]], needed: Sequence[str]) -> list[
         if len(line) > len(header):
             raise ValueError(f"row {number} has {counted(len(line), 'cell')}, its header {len(header)}")
     return [dict(zip_longest(header, line, fillvalue="")) for line in rest if any(line)]
-
-
-def aligned_text(lines: Sequence[Sequence[str]], left: Iterable[int] = ()) -> str:
-    """Return lines of cells in columns for a terminal, right-aligned but for those in `left`."""
-    widths, lefts = [max(map(len, column)) for column in zip(*lines, strict=True)], set(left)
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if place in lefts else cell.rjust(width)
-            for place, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )

@@ -16,9 +16,9 @@ from qdgrasp_coordinator.search.source_runs import read_source
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import RANKING
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_coordinator.storage.tables import aligned_text, csv_text
+from qdgrasp_coordinator.storage.tables import csv_text
 from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.text import counted
+from qdgrasp_protocol.text import aligned_text, counted
 
 RANKS_SHOWN = 10  # Grasps that are shown to a person
 ETA_DIGITS = 4  # Their decimals, at most

@@ -36,11 +36,10 @@ from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, SKIPPED
 from qdgrasp_coordinator.storage.run_folder import RunFolder
-from qdgrasp_coordinator.storage.tables import aligned_text
 from qdgrasp_protocol.errors import UnknownName
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec
-from qdgrasp_protocol.text import counted
+from qdgrasp_protocol.text import aligned_text, counted
 from qdgrasp_tools.campaign.campaign_file import read_campaign
 from qdgrasp_tools.campaign.campaign_folder import campaign_progress
 from qdgrasp_tools.campaign.object_library import SkippedObject, read_skip_report

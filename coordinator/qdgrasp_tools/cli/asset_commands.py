@@ -22,7 +22,7 @@ from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_assets.object_model import ObjectDraft, ObjectModel, file_facts, geometry_of, read_draft
 from qdgrasp_assets.object_shape import is_in_catalog
 from qdgrasp_assets.ycb import YCB_HOME, YCB_TERMS, WrongScan, fetch_scan
-from qdgrasp_coordinator.storage.outputs import OutFile, is_drawn_here
+from qdgrasp_coordinator.storage.outputs import OutFile
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError
@@ -49,6 +49,16 @@ def picture_file(folder: Path, name: str, flag: str = "--picture") -> OutFile:
     """Return the picture's file; an earlier picture drawn by this program is replaced."""
     place, instead = folder / f"{Path(name).stem}.png", f"name another path with {flag}"
     return OutFile(place, instead, force=True, is_kind=is_drawn_here)
+
+
+PNG_HEAD = 4096  # Bytes of a file that are looked at
+
+
+def is_drawn_here(path: Path) -> bool:
+    """Return whether a file is a PNG that was drawn here."""
+    with path.open("rb") as file:
+        head = file.read(PNG_HEAD)
+    return head.startswith(b"\x89PNG") and b"tEXtSoftware\0qdgrasp" in head
 
 
 def draw_asset(asset: Gripper | ObjectModel | Mesh, name: str, folder: Path) -> Path:

@@ -17,11 +17,10 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, OutFile
 from qdgrasp_coordinator.storage.run_folder import RunFolder, run_folders
 from qdgrasp_coordinator.storage.run_folder import journal_digest as digest_of
-from qdgrasp_coordinator.storage.tables import aligned_text
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EXTRAS, InputError, check_packages
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.text import printable
+from qdgrasp_protocol.text import aligned_text, printable
 from qdgrasp_tools.campaign.summaries import (
     campaign_objects,
     campaign_summary,

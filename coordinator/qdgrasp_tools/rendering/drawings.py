@@ -18,7 +18,6 @@ from qdgrasp_assets.geometry.mesh_repair import MeshEdges
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.scene import SceneGripper
-from qdgrasp_coordinator.storage.outputs import PNG_SIGNATURE
 from qdgrasp_tools.rendering.ray_renderer import (
     FIELD,
     RAYS_PER_PIXEL,
@@ -37,6 +36,7 @@ from qdgrasp_tools.rendering.views import (
     rgb,
 )
 
+PNG_SIGNATURE = {"Software": "qdgrasp"}  # By which the CLI knows files that were drawn here
 INK = "#22262b"
 AXIS_COLOURS = {"x": "#cc3311", "y": "#2e8b57", "z": "#2a73b9"}
 FRAME_LENGTH = 0.04  # Length of the axes of a frame [m]

@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 
 from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup
 from qdgrasp_coordinator.storage.outputs import OutFolder
-from qdgrasp_coordinator.storage.tables import Row, Value, aligned_text, csv_text
+from qdgrasp_coordinator.storage.tables import Row, Value, csv_text
 from qdgrasp_protocol.errors import FolderError
+from qdgrasp_protocol.text import aligned_text
 from qdgrasp_tools.report.figures import (
     COMPARED_METHODS,
     draw_curves,
