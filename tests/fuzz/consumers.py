@@ -19,7 +19,7 @@ from qdgrasp_coordinator.metrics.job_status import (
     to_json,
 )
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
-from qdgrasp_coordinator.scheduler.batch_dispatcher import read_result
+from qdgrasp_coordinator.scheduler.auditor import read_result
 from qdgrasp_coordinator.storage import success_pages as found
 from qdgrasp_coordinator.storage.journal import JournalIdentity, slice_from_message
 from qdgrasp_protocol import messages

@@ -195,7 +195,7 @@ class Coordinator(Process):
         try:
             self.scheduler.step(self.now)
             while not self.is_done:
-                yield Listen(min(MOST_WAIT, max(0.0, self.scheduler.next_deadline() - self.now)))
+                yield Listen(min(MOST_WAIT, max(0.0, self.scheduler.ends_at - self.now)))
                 yield Busy(self.world.chance.uniform(0, 0.005))
                 self._step()
         except TookOver as reason:

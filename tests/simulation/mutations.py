@@ -138,9 +138,9 @@ def _never_forget(give_up: Real, workers: WorkerRegistry, worker: Worker, now: f
     return give_up(workers, worker, now)
 
 
-def _overlook_the_first(ordered: Real, workers: list[Worker], now: float) -> Iterator[Worker]:
+def _overlook_the_first(ordered: Real, workers: list[Worker]) -> Iterator[Worker]:
     rest = sorted(workers, key=lambda worker: (len(worker.batches), worker.progress, worker.order))[1:]
-    yield from ordered(rest, now)
+    yield from ordered(rest)
 
 
 def _withdraw_half(withdraw: Real, dispatcher: Dispatcher, run: str) -> Any:
@@ -248,9 +248,6 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
     ("4", "nothing is lost", wild): {
         "forget what is to be queued again": [around(Dispatcher, "requeue", _forget_requeued)],
         "a join queues nothing again": [around(Dispatcher, "join", _join_without_requeue)],
-        "no second worker is freed of what the first has answered": [
-            patch.object(Dispatcher, "_release_others", lambda *_: ())
-        ],
         "a batch is queued again that another worker holds": [around(Dispatcher, "requeue", _requeue_held)],
     },
     ("1", "bounded work", wild): {

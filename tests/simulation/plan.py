@@ -73,6 +73,8 @@ class History:
     """Share of the workers that build shapes."""
     bad: tuple[str, ...] = ()
     """Kinds of bad workers that join when others are there: of `BAD`."""
+    bad_first: bool = False
+    """True if the bad workers join before all others."""
 
     @property
     def rows(self) -> int:

@@ -50,6 +50,7 @@ class Faults:
             "the disk is replaced by an older copy": self._restore_disk,
             "results are forged": stage.start_forger,
             "old messages are repeated": self._repeat,
+            "every simulator fails for a while": self._fail_all,
         }
 
     def plan(self) -> None:
@@ -120,6 +121,12 @@ class Faults:
         recent = [entry for entry in self._stage.network.recent if "/@work/" not in entry[0].key]
         if recent:
             self._stage.network.repeat(*self._chance.choice(recent))
+
+    def _fail_all(self) -> None:
+        """Have every simulator fail on every row for a while, once."""
+        failures = self._stage.failures
+        if failures.down_until == 0.0:
+            failures.down_until = self._world.now + self._chance.uniform(5.0, 60.0)
 
     def _fill_disk(self) -> None:
         disk = self._stage.disk

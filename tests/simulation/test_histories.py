@@ -40,7 +40,7 @@ def test_a_worker_whose_last_question_comes_after_its_token_has_gone_is_forgotte
     dispatch.workers.on_token(ANN, False, 5.0)
     dispatch.join(join_message(ANN, 2, 0), 5.1)
     assert dispatch.give_up(5.0 + TOKEN_DELAY) == []
-    assert [lost.is_there for lost in dispatch.give_up(5.2 + TOKEN_DELAY)] == [False]
+    assert [lost.worker.gone_at is None for lost in dispatch.give_up(5.2 + TOKEN_DELAY)] == [False]
     assert list(dispatch.workers) == []
 
 
@@ -104,6 +104,30 @@ def check(history: History) -> Verdict:
 def test_every_invariant_holds_with(trouble: dict[str, object]) -> None:
     for number in range(2):
         check(replace(QUIET, number=number, **trouble))
+
+
+LONG = replace(
+    QUIET,
+    runs=(Plan(population=50, evaluations=600, in_flight=2),),
+    row_seconds=0.05,
+    batch_size=None,
+    spread=1,
+)
+
+
+@pytest.mark.parametrize("is_bad_first", [False, True], ids=["later", "first"])
+@pytest.mark.parametrize(
+    "bad", [("slow",), ("silent",), ("silent",) * 60], ids=["slow", "silent", "60 silent"]
+)
+def test_the_healthy_do_not_wait_for_slow_or_silent_workers(bad: tuple[str, ...], is_bad_first: bool) -> None:
+    alone = check(LONG).seconds
+    assert check(replace(LONG, bad=bad, bad_first=is_bad_first)).seconds < 1.2 * alone
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_a_fault_that_all_simulators_share_makes_no_row_an_error(number: int) -> None:
+    faults = {"every simulator fails for a while": 0.2}
+    check(replace(LONG, number=number, faults=faults, calm_after=15.0))
 
 
 def test_every_invariant_holds_with_all_of_it_together() -> None:

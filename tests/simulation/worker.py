@@ -64,10 +64,14 @@ class RandomFailures:
     chance: Random
     rate: float
     failed: Counter[bytes] = field(default_factory=Counter)
+    down_until: float = 0.0
+    """Until then every simulator fails on every row, as where a licence server is down."""
 
-    def fails_row(self, row: np.void) -> bool:
+    def fails_row(self, row: np.void, now: float) -> bool:
         """True if a simulator fails on a row now."""
         key = row["genome"].tobytes() + row["trial"].tobytes()
+        if now < self.down_until:
+            return True
         if self.failed[key] < 2 and self.chance.random() < self.rate:
             self.failed[key] += 1
             return True
@@ -197,7 +201,7 @@ class FormulaSimulator:
 
     def _fails(self, row: np.void) -> bool:
         is_poison = bool(row["outcome"] == Outcome.ERROR)
-        return is_poison or self._bad == "sick" or self._failures.fails_row(row)
+        return is_poison or self._bad == "sick" or self._failures.fails_row(row, self._host.world.now)
 
     def _part(self, found: Rows, failed: list[int]) -> PartialResult:
         found[failed] = np.zeros((), found.dtype)

@@ -1,29 +1,23 @@
-"""Audits: rows of other workers that trusted ones evaluate again, and their verdict."""
+"""Results of workers: read, held against their batch, and audited.
+
+Trusted workers evaluate some rows of others again, and differences are judged here.
+"""
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
 
+import msgspec
 import numpy as np
 
-from qdgrasp_coordinator.scheduler.batch_queue import Batch, RunRef
+from qdgrasp_coordinator.scheduler.batch_queue import Audit, Batch, RunRef, ShapeBuild
 from qdgrasp_coordinator.scheduler.worker_registry import Worker
-from qdgrasp_protocol.messages import TRUST_VARIABLE
-from qdgrasp_protocol.rows import Outcome, Rows
+from qdgrasp_protocol.build_messages import Built
+from qdgrasp_protocol.errors import MessageError
+from qdgrasp_protocol.messages import TRUST_VARIABLE, Failure, Result, shorten
+from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, unpack_possible
 
 AUDITED = 0.01
 """Share of each worker's rows that trusted workers evaluate again, besides one in n near its n-th row."""
-
-
-@dataclass(eq=False, kw_only=True)
-class Audit(Batch):
-    """Rows of the one worker in `tried_by`, which a trusted one evaluates again."""
-
-    is_audit: bool = True
-    recorded: Rows
-    """(n,): what that worker made of them."""
-    answer: Rows | None = None
-    """What a trusted worker made of them: it is to be confirmed; None: nothing yet."""
 
 
 class Auditor:
@@ -57,3 +51,45 @@ class Auditor:
         if differing:
             self._audit(audit.run, audit.recorded[differing], audit.tried_by[0], rows[differing])
         return None
+
+
+def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:
+    """Fill the batch's keys and genomes into result rows; failed rows then hold zeros else."""
+    if failed:
+        rows[list(failed)] = np.zeros((), dtype=rows.dtype)
+    rows["generation"] = batch.rows.number
+    rows["index"] = batch.rows.indices
+    rows["trial"] = batch.rows.trials
+    rows["genome"] = batch.rows.genomes
+
+
+def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
+    """Return a result and its rows; impossible ones count as failed, unreadable ones all."""
+    if len(result.failures) == result.n:
+        return result, shape.empty(result.n)
+    rows = shape.empty(result.n)
+    try:
+        reasons = unpack_possible(rows, RESULT, result.columns)
+    except MessageError as error:
+        rows, reasons = shape.empty(result.n), dict.fromkeys(range(result.n), str(error))
+    if reasons:
+        rows[list(reasons)] = np.zeros((), dtype=rows.dtype)
+        told = {failure.row: failure.reason for failure in result.failures} | reasons
+        failures = [Failure(row=row, reason=shorten(reason)) for row, reason in sorted(told.items())]
+        result = msgspec.structs.replace(result, failures=failures)
+    return result, rows
+
+
+def check_result(task: Batch | ShapeBuild, result: Result | Built) -> None:
+    """Raise a MessageError for an answer that does not fit what was leased."""
+    if isinstance(task, ShapeBuild) or isinstance(result, Built):
+        if not (isinstance(task, ShapeBuild) and isinstance(result, Built)):
+            raise MessageError("a shape is no answer to a batch, nor rows to a build")
+        return
+    if result.run != task.run.run:
+        raise MessageError(f"a result is of run '{result.run}', its batch of '{task.run.run}'")
+    if result.n != len(task):
+        raise MessageError(f"a result has {result.n} rows, its batch {len(task)}")
+    for failure in result.failures:
+        if failure.row >= result.n:
+            raise MessageError(f"a result of {result.n} rows names row {failure.row} as failed")

@@ -6,36 +6,39 @@ any steady clock.
 """
 
 from collections import OrderedDict, deque
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from enum import Enum
+from math import inf
 
-import msgspec
 import numpy as np
 
-from qdgrasp_coordinator.scheduler.auditor import Audit
-from qdgrasp_coordinator.scheduler.batch_queue import Batch, BatchQueue, RunRef, Task
+from qdgrasp_coordinator.scheduler.auditor import check_result, complete_rows
+from qdgrasp_coordinator.scheduler.batch_queue import (
+    Audit,
+    Batch,
+    BatchQueue,
+    Probe,
+    RunRef,
+    ShapeBuild,
+    Task,
+)
 from qdgrasp_coordinator.scheduler.pipeline import Generation
 from qdgrasp_coordinator.scheduler.run_plan import BuildReply
-from qdgrasp_coordinator.scheduler.worker_registry import Worker, WorkerRegistry
+from qdgrasp_coordinator.scheduler.worker_registry import STRAGGLER_TURNAROUNDS, Worker, WorkerRegistry
 from qdgrasp_protocol.build_messages import Build, Built, ShapeTask
-from qdgrasp_protocol.errors import MessageError
-from qdgrasp_protocol.messages import Failure, Join, Result, Work, shorten
-from qdgrasp_protocol.rows import RESULT, Rows, RowShape, unpack_possible
+from qdgrasp_protocol.messages import Failure, Join, Result, Work
+from qdgrasp_protocol.rows import Rows
 
 STRIKES = 3
 """Tries of a row that fails, or leases of a build, after which it is given up."""
+PAUSE_SECONDS, FEW_ROWS = 10.0, 4
+"""Seconds between two tries of rows while all fail; with so few rows there is nothing to compare with."""
+EVERY_ROW = f"every row fails, tried again each {PAUSE_SECONDS:.0f} s: {{}}"
 MOST_SETTLED = 10_000
 """Settled batches that are remembered, to tell duplicate and late results from unknown ones."""
 MOST_AUDITS = 128  # Audits that wait for a trusted worker; with so many no more are drawn
 _COUNTED = ("leased", "requeued", "doubled", "failures", "errors")
-
-
-@dataclass(eq=False, kw_only=True)
-class ShapeBuild(Task):
-    """A shape that one worker is to build; a worker that holds one gets nothing else."""
-
-    task: ShapeTask
 
 
 @dataclass(frozen=True)
@@ -92,8 +95,6 @@ class SettleReply:
     """Cost of the batch [CPU s]."""
     failures: tuple[Failure, ...] = ()
     """Reasons of final failures, by place in `rows`, which hold `Outcome.ERROR` and zeros."""
-    superseded: tuple[str, ...] = ()
-    """Other holders of the batch, which are to drop it; their credit is free already."""
     audit: Audit | None = None
     """What was audited, if the batch was an audit."""
 
@@ -118,16 +119,26 @@ class Dispatcher:
         self._settled: OrderedDict[bytes, set[str]] = OrderedDict()
         """The latest that was settled, by id: the workers that were leased it."""
         self._builds: deque[ShapeBuild] = deque()  # That wait for a worker
+        self._healthy_at = -inf  # When the latest batch was leased of which rows were evaluated
+        self._known: dict[str, tuple[RunRef, Generation]] = {}  # A row that was evaluated, by run
+        self._is_probing = False  # One of these is evaluated again
+        self._rows = 0  # That were submitted
+        self.trouble = ""
+        """The reason why all rows fail; empty if some are evaluated."""
+        self._lease_at = -inf  # When rows are leased again though all fail
 
     def submit(self, run: RunRef, generation: Generation) -> None:
         """Queue rows of one generation of a run."""
+        self._rows += len(generation)
         self._queue.submit(run, generation)
 
     def withdraw(self, run: str, *, audits: bool = True) -> dict[str, list[bytes]]:
         """Forget the rows of a run, and its `audits`; gives batches that workers may drop."""
         self._queue.withdraw(run, audits=audits)
+        self._known.pop(run, None)
+        self._is_probing = False
         tasks = (task for task in self._open.values() if isinstance(task, Batch) and task.run.run == run)
-        return self._withdraw([task for task in tasks if audits or not isinstance(task, Audit)])
+        return self._withdraw([task for task in tasks if audits or not isinstance(task, Probe)])
 
     def audit(self, run: RunRef, rows: Rows, maker: str, answer: Rows | None = None) -> None:
         """Have a trusted worker evaluate rows (n,) of a generation again; `answer`: to confirm it."""
@@ -181,19 +192,22 @@ class Dispatcher:
 
         Where nothing waits, idle workers are leased batches that others have held for long.
         """
-        leases = [self._lease(build, worker, now) for build, worker in self._next_builds(now)]
-        for worker in self._workers.idle(now) if self._queue or self._queue.has_tried else ():
+        leases = [self._lease(build, worker, now) for build, worker in self._next_builds()]
+        if self.trouble and now < self._lease_at:
+            return leases
+        self._lease_at = now + PAUSE_SECONDS
+        for worker in self._workers.idle() if self._queue or self._queue.tried else ():
             batch = self._next_batch(worker, now)
             if batch is not None:
                 leases.append(self._lease(batch, worker, now))
-            elif not (self._queue or self._queue.has_tried):
+            elif not (self._queue or self._queue.tried):
                 break
         if not self._queue:
             leases += self._double_leases(now)
         return leases
 
-    def _next_builds(self, now: float) -> Iterator[tuple[ShapeBuild, Worker]]:
-        for worker in self._workers.idle(now) if self._builds else ():
+    def _next_builds(self) -> Iterator[tuple[ShapeBuild, Worker]]:
+        for worker in self._workers.idle() if self._builds else ():
             code = worker.join.builds
             fitting = (build for build in self._builds if code and build.task.code == code)
             build = next((build for build in fitting if build.attempts < STRIKES), None)
@@ -212,44 +226,69 @@ class Dispatcher:
 
     def _may_have(self, worker: Worker, batch: Batch, now: float) -> bool:
         """Return whether a worker may have an audit, or a row that failed, on others first."""
-        if batch.is_audit:
+        if isinstance(batch, Audit):
             return worker.is_trusted
         if batch.run.needs_device and not worker.join.rows:
             return False
-        return worker.wid not in batch.tried_by or not self._workers.expects_other(batch.tried_by, now)
+        tried = self._tried(batch)
+        if not (worker.is_proven or self._workers.proven <= tried):
+            return False
+        if len(batch.tried_by) >= STRIKES:
+            return not (self._known or self._queue) or not self._may_be_shared(batch)
+        return worker.wid not in tried or not self._workers.expects_other(tried, now)
+
+    def _tried(self, batch: Batch) -> set[str]:
+        """Return the workers that had a batch before others should; none once it failed too often."""
+        return set(batch.tried_by) if len(batch.tried_by) < STRIKES else set()
 
     def _double_leases(self, now: float) -> Iterator[Lease]:
-        """Lease to idle workers batches that others have held for long; these keep them too."""
-        late = self._late(now - self._workers.lease_timeout.straggling)
-        for worker in self._workers.idle(now) if late else ():
-            if worker.batches or not late:
+        """Lease to idle workers batches that others have held for long; these keep them too.
+
+        Who has them is proven no more. They go to a proven worker each, or while there is none to all: a
+        silent worker is not waited for, nor the next one that turns out to be silent.
+        """
+        late = self._late(now)
+        for holder in {holder for batch in late for holder in batch.holders}:
+            self._workers.mark_late(holder)
+        is_any_proven = bool(self._workers.proven)
+        for worker in self._workers.idle() if late else ():
+            if worker.batches or not late or worker.is_proven < is_any_proven:
                 return
             batch = next((one for one in late if self._may_double(worker, one)), None)
             if batch is not None:
                 late.remove(batch)
+                late += [] if is_any_proven else [batch]
                 self.counters["doubled"] += 1
                 yield self._lease(batch, worker, now)
 
-    def _late(self, before: float) -> list[Batch]:
-        """Return batches that one worker has held since before a time, those held for longest first.
+    def _late(self, now: float) -> list[Batch]:
+        """Return batches that their holders have had for long, those had for longest first.
 
-        Rows on which others failed are not among them: they may end any worker's process.
+        The more holders, the longer, and the sooner if none is proven. Rows on which others failed may end
+        any worker's process: they count once a lease may be over.
         """
-        found = []
+        timeout, proven, found = self._workers.lease_timeout, self._workers.proven, []
+        soon = timeout.straggling / STRAGGLER_TURNAROUNDS if proven else timeout.straggling
         for task in self._open.values():
-            if isinstance(task, ShapeBuild) or not task.holders:
+            if isinstance(task, ShapeBuild | Probe) or not task.holders:
                 continue
-            if max(task.holders.values()) > before:
+            age = now - max(task.holders.values())
+            if age < soon:
                 break
-            if len(task.holders) == 1 and not task.tried_by:
+            patience = timeout.limit if task.tried_by else timeout.straggling
+            if age >= len(task.holders) * (soon if proven.isdisjoint(task.holders) else patience):
                 found.append(task)
         return found
 
     def _may_double(self, worker: Worker, batch: Batch) -> bool:
-        return worker.wid not in batch.leased and not (batch.run.needs_device and not worker.join.rows)
+        return worker.wid not in self._tried(batch) | batch.holders.keys() and not (
+            batch.run.needs_device and not worker.join.rows
+        )
 
     def _lease(self, task: Batch | ShapeBuild, worker: Worker, now: float) -> Lease:
-        task.attempts += 1
+        if isinstance(task, Batch) and len(task.tried_by) + 1 >= STRIKES:
+            task.may_be_shared = self._may_be_shared(task)
+        task.attempts, task.leased_at = task.attempts + 1, min(task.leased_at, now)
         task.leased.add(worker.wid)
         self._hand_over(task, worker, now)
         self.counters["leased"] += 1
@@ -287,7 +326,7 @@ class Dispatcher:
     def _own(self, wid: str, task_id: bytes) -> Batch | ShapeBuild | None:
         """Return a batch that a worker may go on with, held by it or waiting; else None."""
         task = self._open.get(task_id)
-        is_own = task is not None and wid in task.leased and not task.holders.keys() - {wid}
+        is_own = task is not None and wid in (task.holders or task.leased)
         return task if is_own else None
 
     def requeue(self, wid: str, task_ids: Iterable[bytes]) -> int:
@@ -329,32 +368,68 @@ class Dispatcher:
         if isinstance(batch, Audit):
             complete_rows(rows, batch, {failure.row for failure in result.failures})
             return SettleReply(rows, result.cpu_seconds, audit=batch)
+        if isinstance(batch, Probe):
+            self._on_probe(batch, wid, result, now)
+            return None
         self._queue.measure(batch, result.cpu_seconds)
         if wid in batch.holders:
             self._workers.lease_timeout.measure(now - batch.holders[wid])
-        superseded = self._release_others(batch, wid)
         complete_rows(rows, batch, {failure.row for failure in result.failures})
-        return replace(self._split(batch, wid, result, rows), superseded=superseded)
+        return self._split(batch, wid, result, rows, now)
 
-    def _split(self, batch: Batch, wid: str, result: Result, rows: Rows) -> SettleReply:
+    def _split(self, batch: Batch, wid: str, result: Result, rows: Rows, now: float) -> SettleReply:
         """Return the settled rows; queue failed ones for other workers until they failed too often."""
         failed = {failure.row: failure.reason for failure in result.failures}
         self.counters["failures"] += len(failed)
-        if len(batch.tried_by) + 1 < STRIKES:
+        if good := [place for place in range(len(batch)) if place not in failed]:
+            self._known[batch.run.run] = (batch.run, batch.rows[good[0] : good[0] + 1])
+            self._note_health(batch)
+        is_last = len(batch.tried_by) + 1 >= STRIKES
+        if failed and is_last and batch.may_be_shared:
+            self._suspect_fault(next(iter(failed.values())))
+        if not is_last or batch.may_be_shared:
             for place in sorted(failed):
-                self._queue.requeue_row(batch, place, wid)
+                self._queue.requeue_row(batch, place, wid, now)
             settled = np.delete(rows, list(failed)) if failed else rows
             return SettleReply(settled, result.cpu_seconds)
         self.counters["errors"] += len(failed)
         failures = tuple(Failure(row=place, reason=reason) for place, reason in failed.items())
         return SettleReply(rows, result.cpu_seconds, failures)
 
+    def _may_be_shared(self, batch: Batch) -> bool:
+        """Return whether a row may fail for a reason that all share: no later one was evaluated."""
+        is_first_of_many = self._healthy_at == -inf and self._rows > FEW_ROWS
+        return self._healthy_at < batch.failed_at and bool(self._known or is_first_of_many)
+
+    def _note_health(self, batch: Batch) -> None:
+        """Note that a row was evaluated."""
+        self._healthy_at, self.trouble = max(self._healthy_at, batch.leased_at), ""
+
+    def _suspect_fault(self, reason: str) -> None:
+        """Find out whether all rows fail as one did: by a row that was evaluated before."""
+        if not self._known:
+            self.trouble = EVERY_ROW.format(reason)
+        elif not self._is_probing:
+            self._is_probing, (run, row) = True, next(reversed(self._known.values()))
+            self._queue.requeue(Probe(id=self._queue.new_id(), run=run, rows=row))
+
+    def _on_probe(self, probe: Probe, wid: str, result: Result, now: float) -> None:
+        if not result.failures:
+            self._note_health(probe)
+        elif len(probe.tried_by) + 1 < STRIKES:
+            self._queue.requeue_row(probe, 0, wid, now)
+            return
+        self._is_probing = False
+        for failure in result.failures:
+            self.trouble = EVERY_ROW.format(failure.reason)
+            self._suspect_fault(failure.reason)
+
     def _take(self, wid: str, result: Result | Built, now: float) -> Batch | ShapeBuild | None:
         """Settle a batch or build by its first result; gives it if this is that one."""
         kind = self._classify(wid, result)
         self.counters[kind.value] += 1
         if kind is not Settlement.FOREIGN:
-            self._workers.answered(wid, result.batch, now)
+            self._workers.answered(wid, result.batch, now, is_first=kind is Settlement.FRESH)
         task = self._open.get(result.batch) if kind is Settlement.FRESH else None
         if task is not None:
             self._remove(task)
@@ -368,16 +443,9 @@ class Dispatcher:
         if result.epoch != self._epoch or (leased is not None and wid not in leased):
             return Settlement.FOREIGN
         if task is not None:
-            _check_result(task, result)
+            check_result(task, result)
             return Settlement.FRESH
         return Settlement.LATE
-
-    def _release_others(self, task: Task, winner: str) -> tuple[str, ...]:
-        """Free the credit of other holders of a settled batch; returns these."""
-        others = tuple(holder for holder in task.holders if holder != winner)
-        for holder in others:
-            self._workers.release(holder, task.id)
-        return others
 
     # Builds.
 
@@ -401,11 +469,10 @@ class Dispatcher:
         build = self._take(wid, built, now)
         if not isinstance(build, ShapeBuild):
             return None
-        superseded = self._release_others(build, wid)
         if built.reason and not built.is_final and build.attempts < STRIKES:
             self._builds.appendleft(self._new_build(build.task, build.attempts))
             return None
-        return BuildReply(build.task.key, built.pieces, built.reason, built.cpu_seconds, superseded)
+        return BuildReply(build.task.key, built.pieces, built.reason, built.cpu_seconds)
 
     def give_up_build(self) -> ShapeTask | None:
         """Take one build back that no worker here is likely to do, if there is such a build.
@@ -425,44 +492,3 @@ class Dispatcher:
         """Forget all builds; gives those that workers may drop, by worker."""
         self._builds.clear()
         return self._withdraw([task for task in self._open.values() if isinstance(task, ShapeBuild)])
-
-
-def complete_rows(rows: Rows, batch: Batch, failed: Collection[int]) -> None:
-    """Fill the batch's keys and genomes into result rows; failed rows then hold zeros else."""
-    if failed:
-        rows[list(failed)] = np.zeros((), dtype=rows.dtype)
-    rows["generation"] = batch.rows.number
-    rows["index"] = batch.rows.indices
-    rows["trial"] = batch.rows.trials
-    rows["genome"] = batch.rows.genomes
-
-
-def read_result(result: Result, shape: RowShape) -> tuple[Result, Rows]:
-    """Return a result and its rows; impossible ones count as failed, unreadable ones all."""
-    if len(result.failures) == result.n:
-        return result, shape.empty(result.n)
-    rows = shape.empty(result.n)
-    try:
-        reasons = unpack_possible(rows, RESULT, result.columns)
-    except MessageError as error:
-        rows, reasons = shape.empty(result.n), dict.fromkeys(range(result.n), str(error))
-    if reasons:
-        rows[list(reasons)] = np.zeros((), dtype=rows.dtype)
-        told = {failure.row: failure.reason for failure in result.failures} | reasons
-        failures = [Failure(row=row, reason=shorten(reason)) for row, reason in sorted(told.items())]
-        result = msgspec.structs.replace(result, failures=failures)
-    return result, rows
-
-
-def _check_result(task: Batch | ShapeBuild, result: Result | Built) -> None:
-    if isinstance(task, ShapeBuild) or isinstance(result, Built):
-        if not (isinstance(task, ShapeBuild) and isinstance(result, Built)):
-            raise MessageError("a shape is no answer to a batch, nor rows to a build")
-        return
-    if result.run != task.run.run:
-        raise MessageError(f"a result is of run '{result.run}', its batch of '{task.run.run}'")
-    if result.n != len(task):
-        raise MessageError(f"a result has {result.n} rows, its batch {len(task)}")
-    for failure in result.failures:
-        if failure.row >= result.n:
-            raise MessageError(f"a result of {result.n} rows names row {failure.row} as failed")

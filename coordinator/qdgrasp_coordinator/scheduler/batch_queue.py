@@ -4,9 +4,11 @@ import secrets
 from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from math import ceil, sqrt
+from math import ceil, inf, sqrt
 
 from qdgrasp_coordinator.scheduler.pipeline import Generation
+from qdgrasp_protocol.build_messages import ShapeTask
+from qdgrasp_protocol.rows import Rows
 from qdgrasp_protocol.spec import DEVICE_ENGINE
 
 
@@ -35,10 +37,19 @@ class Task:
     """16 bytes: random ones of the epoch and a counter, not used again in the job."""
     attempts: int = 0
     """Leases of it so far."""
+    leased_at: float = inf
+    """When it was leased first."""
     holders: dict[str, float] = field(default_factory=dict)
     """Workers that hold it, and when they were leased it; none: it waits."""
     leased: set[str] = field(default_factory=set)
     """All workers that were ever leased it."""
+
+
+@dataclass(eq=False, kw_only=True)
+class ShapeBuild(Task):
+    """A shape that one worker is to build; a worker that holds one gets nothing else."""
+
+    task: ShapeTask
 
 
 @dataclass(eq=False, kw_only=True)
@@ -49,11 +60,28 @@ class Batch(Task):
     rows: Generation
     tried_by: tuple[str, ...] = ()
     """Workers whose simulator failed on this row, which is alone then: another one is to evaluate it."""
-    is_audit: bool = False
-    """Only a trusted worker may have it."""
+    failed_at: float = inf
+    """When a worker failed first on this row."""
+    may_be_shared: bool = True
+    """A failure of it may have a reason that all rows share, as of its latest lease."""
 
     def __len__(self) -> int:
         return len(self.rows)
+
+
+@dataclass(eq=False, kw_only=True)
+class Probe(Batch):
+    """Rows that were evaluated before, and are again: their results settle nothing."""
+
+
+@dataclass(eq=False, kw_only=True)
+class Audit(Probe):
+    """Rows of the one worker in `tried_by`, which a trusted one evaluates again."""
+
+    recorded: Rows
+    """(n,): what that worker made of them."""
+    answer: Rows | None = None
+    """What a trusted worker made of them: it is to be confirmed; None: nothing yet."""
 
 
 BATCH_SECONDS = 0.25  # Target duration of a batch [s]
@@ -136,14 +164,14 @@ class BatchQueue:
         return any(self._runs.values())
 
     @property
-    def audits(self) -> list[Batch]:
+    def audits(self) -> list[Audit]:
         """Audits that wait for a trusted worker."""
-        return [batch for batch in self._again.values() if batch.is_audit]
+        return [batch for batch in self._again.values() if isinstance(batch, Audit)]
 
     @property
-    def has_tried(self) -> bool:
-        """True if rows wait for other workers than those that had them."""
-        return bool(self._again)
+    def tried(self) -> list[Batch]:
+        """Rows that wait for other workers than those that had them, and audits."""
+        return list(self._again.values())
 
     @property
     def seconds(self) -> float:
@@ -154,7 +182,7 @@ class BatchQueue:
     def batches(self) -> int:
         """Number of batches of about `BATCH_SECONDS` that the waiting rows make."""
         waiting = sum(ceil(len(rows) / rows.sizer.full_size) for rows in self._runs.values())
-        return waiting + len(self._again) - len(self.audits)
+        return waiting + sum(not isinstance(batch, Probe) for batch in self._again.values())
 
     def submit(self, run: RunRef, generation: Generation) -> None:
         """Take rows of one generation that were never leased."""
@@ -166,7 +194,11 @@ class BatchQueue:
 
     def withdraw(self, run: str, *, audits: bool) -> None:
         """Forget a run, and its `audits` if asked to."""
-        again = (one for one in self._again.values() if one.run.run != run or (one.is_audit and not audits))
+        again = (
+            one
+            for one in self._again.values()
+            if one.run.run != run or (isinstance(one, Probe) and not audits)
+        )
         self._again = {batch.id: batch for batch in again}
         if (gone := self._runs.pop(run, None)) is not None:
             self._rows -= len(gone)
@@ -221,7 +253,7 @@ class BatchQueue:
 
     def requeue(self, batch: Batch) -> None:
         """Have a batch leased again, before anything new of its run."""
-        if batch.tried_by:
+        if batch.tried_by or isinstance(batch, Probe):
             self._again[batch.id] = batch
             return
         waiting = self._runs[batch.run.run]
@@ -229,10 +261,11 @@ class BatchQueue:
             self._rows += len(batch)
         waiting.again[batch.id] = batch
 
-    def requeue_row(self, batch: Batch, place: int, wid: str) -> None:
+    def requeue_row(self, batch: Batch, place: int, wid: str, now: float) -> None:
         """Queue a row that failed on a worker for another one, as a batch of its own."""
-        row, tried = batch.rows[place : place + 1], (*batch.tried_by, wid)
-        self.requeue(Batch(id=self.new_id(), run=batch.run, rows=row, tried_by=tried))
+        again = type(batch)(id=self.new_id(), run=batch.run, rows=batch.rows[place : place + 1])
+        again.tried_by, again.failed_at = (*batch.tried_by, wid), min(batch.failed_at, now)
+        self.requeue(again)
 
     def remove(self, batch: Batch) -> None:
         """Forget a batch that was queued again, if it still waits."""

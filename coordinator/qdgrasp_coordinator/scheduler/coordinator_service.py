@@ -39,6 +39,7 @@ log = structlog.get_logger()
 ANSWER_TIMEOUT = 5.0  # seconds that a question waits for the coordinator's one thread
 
 T = TypeVar("T")
+M = TypeVar("M", Join, Order)
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,13 @@ def _await(answer: "Future[T]") -> T:
         return answer.result(ANSWER_TIMEOUT)
     except TimeoutError:
         raise NoReply("the coordinator is busy") from None
+
+
+def _decoded(query: Query, kind: type[M]) -> M:
+    try:
+        return messages.decode(query.payload, kind)
+    except MessageError as error:
+        raise Refused(str(error)) from None
 
 
 MOST_EVENTS = 256  # events between two steps
@@ -138,7 +146,7 @@ class CoordinatorService:
 
     def _step(self) -> None:
         now = time.monotonic()
-        deadline = min(self.scheduler.next_deadline(), self._publisher.due)
+        deadline = min(self.scheduler.ends_at, self._publisher.due)
         with suppress(Empty):
             self._take(self.inbox.get(timeout=min(MOST_WAIT, max(0.0, deadline - now))))
             for _ in range(MOST_EVENTS):
@@ -193,10 +201,7 @@ class CoordinatorService:
         self.inbox.put(TokenChange(key, alive))
 
     def _answer_join(self, query: Query) -> bytes:
-        try:
-            request = JoinRequest(messages.decode(query.payload, Join))
-        except MessageError as error:
-            raise Refused(str(error)) from None
+        request = JoinRequest(_decoded(query, Join))
         if worker_id(request.join.key) != request.join.wid:
             raise Refused(
                 f"the id {request.join.wid} is not that of the worker's key: it is another worker's"
@@ -205,10 +210,7 @@ class CoordinatorService:
         return _await(request.answer)
 
     def _answer_order(self, query: Query) -> bytes:
-        try:
-            request = AdminRequest(messages.decode(query.payload, Order))
-        except MessageError as error:
-            raise Refused(str(error)) from None
+        request = AdminRequest(_decoded(query, Order))
         self.inbox.put(request)
         return messages.encode(OrderReply(words=shorten(_await(request.answer))))
 

@@ -14,10 +14,11 @@ from math import inf
 
 import structlog
 
-from qdgrasp_coordinator.metrics.job_status import EventLog, JobStatus, from_json
+from qdgrasp_coordinator.metrics.job_status import EventKind, EventLog, JobStatus, from_json
 from qdgrasp_coordinator.metrics.time_left import TimeLeft
-from qdgrasp_coordinator.scheduler.auditor import Audit, Auditor
-from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher, read_result
+from qdgrasp_coordinator.scheduler.auditor import Auditor, read_result
+from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Dispatcher
+from qdgrasp_coordinator.scheduler.batch_queue import Audit
 from qdgrasp_coordinator.scheduler.run_plan import BuildReply, WantedShapes
 from qdgrasp_coordinator.scheduler.run_registry import (
     ActiveRun,
@@ -109,7 +110,8 @@ class JobScheduler:
         self.job = job
         self.runs = runs
         self.events = events or EventLog()
-        self._ends_at = ends_at
+        self.ends_at = ends_at
+        """When it ends by itself; infinite: never, or it is ending."""
         self._stopped_at: float | None = None  # When the ending began
         self.drops = DropCounter()
         self.is_paused = False  # True: nothing is leased; leased batches still count
@@ -187,8 +189,6 @@ class JobScheduler:
         if settled.audit is not None:
             self._on_audit(run.name, settled.audit, settled.rows)
             return
-        for other in settled.superseded:
-            self._drop(other, [result.batch])
         self.workers.on_settled(wid, len(settled.rows), now)
         if failures := settled.failures:
             rows_of = f"{counted(len(failures), 'row')} of run '{run.name}'"
@@ -221,11 +221,8 @@ class JobScheduler:
     def _on_built(self, built: Built, wid: str, now: float) -> None:
         """Settle a build once; the runs that wait for its shape are opened, or fail."""
         reply = self.dispatcher.settle_build(wid, built, now)
-        if reply is None:
-            return
-        for other in reply.superseded:
-            self._drop(other, [built.batch])
-        self.runs.shapes.end(reply)
+        if reply is not None:
+            self.runs.shapes.end(reply)
 
     def _on_wanted_shapes(self, wanted: WantedShapes) -> None:
         self.runs.shapes.add(wanted)
@@ -354,10 +351,11 @@ class JobScheduler:
         """Queue again the batches of a worker that left, vanished or is stuck."""
         worker, requeued = lost.worker, self.dispatcher.requeue(lost.worker.wid, lost.batches)
         log.info("gave a worker up", worker=worker.wid[:8], reason=lost.reason, requeued=requeued)
-        end = "is stuck" if lost.is_there else "is gone"
+        kind: EventKind = "trouble" if worker.gone_at is None else "worker"
+        end = "is stuck" if worker.gone_at is None else "is gone"
         how = f"{end}: {lost.reason}" if worker.join.credit else "has left"
         again = f"; {requeued} of its batches are queued again" if requeued else ""
-        self.events.note("worker", f"{worker.description} {how}{again}.", worker=worker.wid)
+        self.events.note(kind, f"{worker.description} {how}{again}.", worker=worker.wid)
 
     def _drop(self, wid: str, batches: list[bytes]) -> None:
         self._put(self._keys.ctl(wid), Control(epoch=self.epoch, drop=batches), Channel.CONTROL)
@@ -382,7 +380,7 @@ class JobScheduler:
             workers = len(self.workers)
             is_wanted = self.dispatcher.queued_seconds < AHEAD_SECONDS * workers
             self.runs.load(self.epoch, workers=workers, is_wanted=is_wanted)
-        if now >= self._ends_at:
+        if now >= self.ends_at:
             self.stop(now)
 
     def _lease(self, now: float) -> None:
@@ -393,10 +391,6 @@ class JobScheduler:
         for lease in self.dispatcher.leases(now):
             self._put(self._keys.work(lease.wid), lease.message(self.epoch), Channel.DATA)
 
-    def next_deadline(self) -> float:
-        """Return when `step` has something to do if nothing happens; infinite: never."""
-        return min(self.workers.next_deadline(), self._ends_at)
-
     @property
     def is_ending(self) -> bool:
         """True: nothing is asked or leased; what was found is still recorded."""
@@ -404,7 +398,7 @@ class JobScheduler:
 
     def stop(self, now: float, reason: EndedEarly | None = None) -> None:
         """Stop asking and leasing, withdraw all leases, and start the wait for the recorder."""
-        self._stopped_at, self.stop_reason, self._ends_at = now, reason, inf
+        self._stopped_at, self.stop_reason, self.ends_at = now, reason, inf
         for run in self.runs:
             self._withdraw(run.name)
         for wid, builds in self.dispatcher.withdraw_builds().items():
@@ -470,6 +464,7 @@ class JobScheduler:
         """Return the job's figures."""
         figures = self.runs.status(
             now,
+            self.dispatcher.trouble or self.workers.trouble,
             job=self.job,
             workers=len(self.workers),
             state=self.state,

@@ -122,14 +122,6 @@ class GenerationBuffer:
         first = np.flatnonzero(is_new)[::-1]  # of equal places the last one written stays
         self._store(take_rows(rows, first), indices[first], trials[first])
 
-    @property
-    def has_ready_row(self) -> bool:
-        """True if the row after the final ones is here."""
-        if self.missing:
-            return bool(self._is_present[self.final, 0])
-        indices, trials = self._next(1)
-        return bool(self._is_present[indices, trials].any())
-
     def ready_rows(self) -> Rows:
         """Rows after the final ones, up to the first that is missing: nominal ones, or else trials."""
         if self.missing:
@@ -297,8 +289,8 @@ class Pipeline:
         # Rows arrive in any order; only those without a gap before them count, end the run, or are told.
         first, errors = self.tally.rows, self.tally.errors
         pieces: list[Rows] = []
-        while self.finished is None and self._open[0].has_ready_row:
-            pieces.append(self._next_final_rows(self._open[0]))
+        while self.finished is None and len(ready := self._open[0].ready_rows()):
+            pieces.append(self._finalise(self._open[0], ready))
         if not pieces:
             return JournalSlice(first, self._shape.empty(0))
         rows = join_rows(pieces)
@@ -308,9 +300,8 @@ class Pipeline:
         failures = self._failures(rows, keys) if self.tally.errors > errors else ()
         return JournalSlice(first, rows, cpu_seconds, failures, makers)
 
-    def _next_final_rows(self, buffer: GenerationBuffer) -> Rows:
+    def _finalise(self, buffer: GenerationBuffer, rows: Rows) -> Rows:
         """Count the ready rows of the oldest generation, up to the end of the run."""
-        rows = buffer.ready_rows()
         rows = rows[: self.tally.rows_until_stop(rows)]
         buffer.final += len(rows)
         self.tally.count(rows)

@@ -181,8 +181,6 @@ class BuildReply:
     """The deflated shape; empty if it cannot be built."""
     reason: str = ""
     cpu_seconds: float = 0.0
-    superseded: tuple[str, ...] = ()
-    """Other holders of the build, which are to drop it."""
 
 
 class ShapeWarning(NamedTuple):

@@ -407,11 +407,12 @@ class RunRegistry:
         kept = {digest: scene for digest, scene in self._scenes.items() if digest not in old}
         self._scenes = kept | {bundle.digest: bundle}
 
-    def status(self, now: float, **others: Any) -> JobStatus:
-        """Return the job's figures: those of its runs, and others."""
+    def status(self, now: float, trouble: str = "", **others: Any) -> JobStatus:
+        """Return the job's figures: those of its runs, and others; `trouble` is that of its workers."""
         opening = [self._loader.run] if self.is_loading and self._loader.run else []
         runs = [*self._open.values(), *opening]
-        troubles = [self._loader.trouble if self.is_loading else "", *(run.sink.trouble for run in runs)]
+        opened = self._loader.trouble if self.is_loading else ""
+        troubles = [opened, *(run.sink.trouble for run in runs), trouble]
         found = sum((run.tally.totals for run in runs), self._found)
         replayed = self._replayed + sum(run.replayed for run in opening)
         spent = sum(run.tally.spec.evaluations - run.remaining for run in runs)

@@ -54,7 +54,6 @@ class StatusCache:
 
 STATUS_INTERVAL = 0.5  # seconds between two publications of the figures
 RUNS_AT_ONCE = 256  # Most runs whose figures are published at once; more take turns
-WORKERS_INTERVAL = 1.0  # seconds between two of the workers', unless the state of one has changed
 
 
 class StatusPublisher:
@@ -69,8 +68,6 @@ class StatusPublisher:
         self._identity = ""
         self._since = datetime.now(UTC).replace(microsecond=0)
         self._next_run = 0
-        self._workers_due = 0.0
-        self._states: list[str] = []
         self._obstacle = ""
 
     def open(self, now: float) -> None:
@@ -88,7 +85,9 @@ class StatusPublisher:
         self.due = now + STATUS_INTERVAL
         runs = list(self._scheduler.runs)
         self.cache.retain(self._keys.stat("run/*"), {run.name for run in runs})
-        for run in self._in_turn(runs):
+        first = self._next_run % max(1, len(runs))
+        self._next_run = first + RUNS_AT_ONCE
+        for run in (runs + runs)[first : first + min(len(runs), RUNS_AT_ONCE)]:
             self.publish_run(run, now)
         status = self._scheduler.status(now)
         if status.obstacle != self._obstacle:
@@ -97,14 +96,6 @@ class StatusPublisher:
             self._obstacle = status.obstacle
         self._put(self._keys.stat("job"), status)
         self._publish_workers(now)
-
-    def _in_turn(self, runs: list[ActiveRun]) -> list[ActiveRun]:
-        """Return the runs to publish now: all, or of more than `RUNS_AT_ONCE` the next ones."""
-        if len(runs) <= RUNS_AT_ONCE:
-            return runs
-        first = self._next_run % len(runs)
-        self._next_run = first + RUNS_AT_ONCE
-        return (runs + runs)[first : first + RUNS_AT_ONCE]
 
     def publish_run(self, run: ActiveRun, now: float) -> None:
         """Publish the figures of a run."""
@@ -116,11 +107,7 @@ class StatusPublisher:
         self.cache.set(self._keys.recent, to_json(self._scheduler.events.latest))
 
     def _publish_workers(self, now: float) -> None:
-        """Publish the workers, at intervals and when a state has changed."""
-        states = [f"{worker.wid} {worker.state}" for worker in self._scheduler.workers]
-        if now < self._workers_due and states == self._states:
-            return
-        self._workers_due, self._states = now + WORKERS_INTERVAL, states
+        """Publish the workers."""
         pages = self._scheduler.workers.pages(now)
         self.cache.retain(self._keys.stat("team/*"), {str(page.page) for page in pages})
         for page in pages:

@@ -8,7 +8,6 @@ import os
 from collections import OrderedDict, deque
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
-from heapq import heapify, heappop, heappush
 from math import ceil, inf
 
 from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, WorkersPage, WorkerStatus
@@ -18,10 +17,7 @@ from qdgrasp_protocol.errors import Refused
 from qdgrasp_protocol.messages import TRUST_VARIABLE, VERSION, Heartbeat, Join, worker_key
 from qdgrasp_protocol.text import first_few
 
-ANSWER_SECONDS, ANSWER_LIMITS = 600.0, 6
-"""Time that a worker which shows progress may go without an answer: so many seconds, or lease timeouts."""
-BUILD_SECONDS = 5400.0  # The same for one that builds a shape, whose process has limits of its own
-PROVEN_SECONDS = 60.0  # Seconds for which a worker that answered is preferred to others
+BUILD_SECONDS = 5400.0  # Time that a worker may take for a shape; its process has limits of its own
 TOKEN_GRACE = 1.0  # Seconds between the loss of a worker's token and the end of its leases
 SCENES_KEPT = 8  # Scenes that a worker keeps open, least recently used first out
 NO_SIGN = Heartbeat(wid=32 * "0", host="")  # A sign that says nothing
@@ -52,12 +48,12 @@ class Worker:
     """True: its token is not gone, but late."""
     is_stuck: bool = False
     """It let a lease pass; until it answers or joins again it gets no work, unless no worker is well."""
+    is_proven: bool = False
+    """It answered a batch first, and held none for long since; until then it holds one at most."""
     is_trusted: bool = False
     """Its owner has the job's secret: it checks the rows of others."""
     is_drained: bool = False
     """It is to leave: it gets no more work."""
-    answered: float = -inf
-    """When it answered last."""
     owes_since: float = 0.0
     """Since when it owes an answer: its last one, or when it was leased something while it held nothing."""
     rows: int = 0
@@ -84,7 +80,9 @@ class Worker:
     def has_credit(self) -> bool:
         """True if it is present and may be leased more."""
         is_open = self.gone_at is None and not self.is_drained and not self.is_building
-        return is_open and len(self.batches) < self.join.credit
+        return is_open and len(self.batches) < (
+            self.join.credit if self.is_proven else min(1, self.join.credit)
+        )
 
     @property
     def state(self) -> str:
@@ -102,16 +100,15 @@ class Worker:
         """Id, host and process, for people."""
         return f"Worker {self.wid[:WID_DIGITS]} on {self.join.host} (process {self.join.pid})"
 
-    def deadline(self, limit: float) -> float:
+    def deadline(self, timeout: "LeaseTimeout") -> float:
         """Return when it is given up if nothing is heard of it; infinite: never."""
         if self.gone_at is not None:
             return self.gone_at + TOKEN_GRACE
-        return min(self.progress + limit, self.answer_by(limit)) if self.batches else inf
+        return min(self.progress + timeout.limit, self.answer_by(timeout)) if self.batches else inf
 
-    def answer_by(self, limit: float) -> float:
+    def answer_by(self, timeout: "LeaseTimeout") -> float:
         """Return when it is given up without an answer, whatever progress it shows."""
-        longest = BUILD_SECONDS if self.is_building else max(ANSWER_SECONDS, ANSWER_LIMITS * limit)
-        return self.owes_since + longest
+        return self.owes_since + (BUILD_SECONDS if self.is_building else timeout.answer)
 
     def status(self, now: float) -> WorkerStatus:
         """Return its figures."""
@@ -131,24 +128,15 @@ class Worker:
         )
 
 
-def fewest_batches_first(workers: list[Worker], now: float) -> Iterator[Worker]:
+def fewest_batches_first(workers: list[Worker]) -> Iterator[Worker]:
     """Yield the worker to lease to next, while one has credit left and took what it was offered.
 
-    Among equals those that answered lately come first: a silent worker's batch is not given to the next
-    silent one. Then comes the one that was quiet for longest, so that every stuck worker is tried.
+    Among equals proven ones come first: a silent worker's batch is not given to the next silent one. Then
+    comes the one that was quiet for longest, so that every stuck worker is tried.
     """
-
-    def place(worker: Worker) -> tuple[int, bool, float, int]:
-        is_proven = worker.answered >= now - PROVEN_SECONDS
-        return len(worker.batches), not is_proven, worker.progress, worker.order
-
-    heap = [(place(worker), worker) for worker in workers]
-    heapify(heap)
-    while heap:
-        yield heap[0][-1]
-        (count, *_), worker = heappop(heap)
-        if worker.has_credit and len(worker.batches) > count:
-            heappush(heap, (place(worker), worker))
+    for held in range(max((worker.join.credit for worker in workers), default=0)):
+        free = [worker for worker in workers if worker.has_credit and len(worker.batches) == held]
+        yield from sorted(free, key=lambda worker: (not worker.is_proven, worker.progress, worker.order))
 
 
 LEASE_SECONDS = 10.0  # The shortest time without a sign of progress after which a lease is over
@@ -156,6 +144,11 @@ STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS = 0.25, 3
 """Age of a lease after which an idle worker gets the batch too: so many seconds, or median turnarounds."""
 FIRST_STRAGGLER_SECONDS = 2.0  # The same while no batch has been answered: scenes are made first
 LEASE_TURNAROUNDS = 10  # A lease may take so many times the 95th percentile of turnarounds, if that is longer
+FIRST_ANSWER_SECONDS, ANSWER_SECONDS, ANSWER_LIMITS = 600.0, 60.0, 6
+"""Time that a worker which shows progress may go without an answer.
+
+The first, while no batch has been answered; later so many seconds, or lease timeouts if that is longer.
+"""
 TURNAROUNDS_KEPT = 256
 
 
@@ -166,6 +159,8 @@ class LeaseTimeout:
         self._turnarounds: deque[float] = deque(maxlen=TURNAROUNDS_KEPT)
         self.limit = LEASE_SECONDS
         """max(10 s, 10 x the 95th percentile of turnarounds) (docs/bus.md, rule 4)."""
+        self.answer = FIRST_ANSWER_SECONDS
+        """Longest wait for an answer of a worker that shows progress [s]."""
         self.straggling = FIRST_STRAGGLER_SECONDS
         """Age [s] after which a lease is a straggler's: max(0.25 s, 3 x the median turnaround)."""
 
@@ -174,6 +169,7 @@ class LeaseTimeout:
         self._turnarounds.append(seconds)
         ordered = sorted(self._turnarounds)
         self.limit = max(LEASE_SECONDS, LEASE_TURNAROUNDS * ordered[ceil(0.95 * len(ordered)) - 1])
+        self.answer = max(ANSWER_SECONDS, ANSWER_LIMITS * self.limit)
         self.straggling = max(STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS * ordered[len(ordered) // 2])
 
 
@@ -189,24 +185,22 @@ class LostWorker:
     reason: str
     batches: list[bytes]
     """Ids of the batches it held."""
-    is_there: bool
-    """True: it is still there, but stuck."""
 
 
+LOOK_SECONDS = 0.05  # Between two looks for overdue workers
 GONE_SECONDS = 60.0  # Seconds for which a worker that is gone is still shown
-MOST_GONE = 1024  # Most workers shown that are gone
 
 
 class WorkerRegistry:
     """The workers of a job, all of one platform.
 
-    Which are well, which have credit, and when the next may be overdue, is updated with every change:
-    an event of one worker needs no pass over a thousand.
+    Which are well, and which have credit, is updated with every change: an event of one worker needs no pass
+    over a thousand.
     """
 
     # A lease is over at the deadline of its holder. It is the earlier of two times: the last sign of progress
-    # plus a multiple of what batches took lately, and the last answer plus ten minutes, for a worker that
-    # shows progress and never answers. Both stand still while the coordinator's own link is down.
+    # plus a multiple of what batches took lately, and the last answer plus a minute or more, for a worker
+    # that shows progress and never answers. Both stand still while the coordinator's own link is down.
 
     def __init__(self) -> None:
         self.platform: dict[str, str] = {}
@@ -220,12 +214,10 @@ class WorkerRegistry:
         self._joins = 0
         self._settled = 0  # Rows that all of them have settled
         self._well: set[str] = set()
-        self._left: dict[str, float] = {}
-        """Workers that were well, and when they no longer were."""
-        self._now = 0.0
+        self.proven: set[str] = set()
+        """Workers that are well and proven."""
         self._free: dict[str, Worker] = {}
-        self._limit = self.lease_timeout.limit
-        self._earliest = inf  # no worker is overdue before, with this limit
+        self._look_at = -inf  # When overdue workers are looked for next
 
     def __iter__(self) -> Iterator[Worker]:
         """Iterate over known workers by order of joining, also gone ones not yet given up."""
@@ -286,7 +278,6 @@ class WorkerRegistry:
 
     def on_token(self, wid: str, alive: bool, now: float) -> None:
         """Record that a worker's token appeared or vanished."""
-        self._now = now
         (self.alive.add if alive else self.alive.discard)(wid)
         if (worker := self._workers.get(wid)) is None:
             return
@@ -302,7 +293,6 @@ class WorkerRegistry:
             for worker in self:
                 worker.progress = worker.owes_since = now
                 worker.gone_at = None if worker.gone_at is None else now
-            self._update_deadline()
         self._link_is_up = is_up
 
     def drain(self, wid: str) -> None:
@@ -330,13 +320,19 @@ class WorkerRegistry:
             worker.batches.pop(batch_id, None)
             self._update(worker)
 
-    def answered(self, wid: str, batch_id: bytes, now: float) -> None:
-        """Record that a worker has answered a batch, and holds it no more."""
+    def answered(self, wid: str, batch_id: bytes, now: float, *, is_first: bool = False) -> None:
+        """Record that a worker has answered a batch, before any other or not, and holds it no more."""
         if (worker := self._workers.get(wid)) is not None:
-            worker.answered = worker.owes_since = now
-            worker.is_stuck = False
+            worker.owes_since, worker.is_stuck = now, False
+            worker.is_proven |= is_first
         self.progressed(wid, now)
         self.release(wid, batch_id)
+
+    def mark_late(self, wid: str) -> None:
+        """Record that a worker has held a batch for long."""
+        if (worker := self._workers.get(wid)) is not None and worker.is_proven:
+            worker.is_proven = False
+            self._update(worker)
 
     def progressed(self, wid: str, now: float) -> None:
         """Record that a worker makes progress, on any job."""
@@ -366,73 +362,57 @@ class WorkerRegistry:
         """Return whether a worker besides these is well, or was lately: it may be back soon."""
         if len(self._well) > len(self._well.intersection(tried)):
             return True
-        self._left = {wid: at for wid, at in self._left.items() if now < at + AWAY_SECONDS}
-        return bool(self._left.keys() - set(tried))
-
-    def idle(self, now: float) -> Iterator[Worker]:
-        """Yield the worker to lease to next; stuck ones only if no worker is well."""
-        return fewest_batches_first(
-            [worker for worker in self._free.values() if worker.is_well or not self._well], now
+        lately = [*self, *(worker for worker, at in self._gone.values() if now < at + AWAY_SECONDS)]
+        return any(
+            worker.join.credit and not (worker.is_drained or worker.is_stuck or worker.wid in tried)
+            for worker in lately
         )
 
-    def next_deadline(self) -> float:
-        """Return the time before which no worker is overdue; infinite: never."""
-        if self.lease_timeout.limit < self._limit:
-            self._update_deadline()
-        return self._earliest if self._link_is_up else inf
+    def idle(self) -> Iterator[Worker]:
+        """Yield the worker to lease to next; stuck ones only if no worker is well."""
+        return fewest_batches_first(
+            [worker for worker in self._free.values() if worker.is_well or not self._well]
+        )
+
+    @property
+    def trouble(self) -> str:
+        """The workers that are there, if all of them are stuck; else empty."""
+        stuck = [] if self._well else [worker.description for worker in self if worker.state == "stuck"]
+        return f"no worker answers: {first_few(stuck, 3)}" if stuck else ""
 
     def overdue(self, now: float) -> list[LostWorker]:
         """Give up overdue workers: take their batches, and forget those whose token vanished."""
-        if now < self.next_deadline():
+        if not self._link_is_up or now < self._look_at:
             return []
-        self._update_deadline()
-        self._now = now
-        late = [worker for worker in self if now >= worker.deadline(self._limit)]
-        lost = [self._give_up(worker, now) for worker in late]
-        self._update_deadline()
-        return lost
+        self._look_at = now + LOOK_SECONDS
+        late = [worker for worker in self if now >= worker.deadline(self.lease_timeout)]
+        return [self._give_up(worker, now) for worker in late]
 
     def _give_up(self, worker: Worker, now: float) -> LostWorker:
-        is_silent = now >= worker.answer_by(self._limit)
+        is_silent = now >= worker.answer_by(self.lease_timeout)
         batches, worker.batches = list(worker.batches), {}
         if worker.gone_at is None:
-            worker.is_stuck = True
+            worker.is_stuck, worker.is_proven = True, False
             self._update(worker)
-            seconds = now - worker.owes_since if is_silent else self._limit
+            seconds = now - worker.owes_since if is_silent else self.lease_timeout.limit
             reason = f"no {'answer' if is_silent else 'sign of progress'} for {seconds:.0f} seconds"
-            return LostWorker(worker, reason, batches, is_there=True)
+            return LostWorker(worker, reason, batches)
         del self._workers[worker.wid]
-        self._set_well(worker, is_well=False)
+        for index in (self._well, self.proven):
+            index.discard(worker.wid)
         self._free.pop(worker.wid, None)
         worker.is_expected = False
         self._gone[worker.wid] = (worker, now)
-        if len(self._gone) > MOST_GONE:
-            del self._gone[next(iter(self._gone))]
-        return LostWorker(worker, "its token vanished", batches, is_there=False)
+        return LostWorker(worker, "its token vanished", batches)
 
     def _update(self, worker: Worker) -> None:
         """Update the indexes after a worker has changed."""
-        self._set_well(worker, is_well=worker.is_well)
+        (self._well.add if worker.is_well else self._well.discard)(worker.wid)
+        (self.proven.add if worker.is_well and worker.is_proven else self.proven.discard)(worker.wid)
         if worker.has_credit:
             self._free[worker.wid] = worker
         else:
             self._free.pop(worker.wid, None)
-        self._earliest = min(self._earliest, worker.deadline(self._limit))
-
-    def _set_well(self, worker: Worker, *, is_well: bool) -> None:
-        if is_well == (worker.wid in self._well):
-            return
-        if is_well:
-            self._left.pop(worker.wid, None)
-            self._well.add(worker.wid)
-            return
-        self._well.remove(worker.wid)
-        if worker.join.credit and not worker.is_drained:
-            self._left[worker.wid] = self._now
-
-    def _update_deadline(self) -> None:
-        self._limit = self.lease_timeout.limit
-        self._earliest = min((worker.deadline(self._limit) for worker in self), default=inf)
 
     def pages(self, now: float) -> list[WorkersPage]:
         """Return all workers in pages, at least one; those that have just gone come last."""

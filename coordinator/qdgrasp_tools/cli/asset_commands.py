@@ -51,13 +51,9 @@ def picture_file(folder: Path, name: str, flag: str = "--picture") -> OutFile:
     return OutFile(place, instead, force=True, is_kind=is_drawn_here)
 
 
-PNG_HEAD = 4096  # Bytes of a file that are looked at
-
-
 def is_drawn_here(path: Path) -> bool:
     """Return whether a file is a PNG that was drawn here."""
-    with path.open("rb") as file:
-        head = file.read(PNG_HEAD)
+    head = path.read_bytes()[:4096]
     return head.startswith(b"\x89PNG") and b"tEXtSoftware\0qdgrasp" in head
 
 

@@ -32,9 +32,11 @@ class Dispatch(Dispatcher):
     def admit(
         self, wid: str, number: int, credit: int, held: Sequence[bytes], now: float, rows: int = 0
     ) -> list[bytes]:
-        """Let a worker join whose token is there; its device evaluates so many rows at once."""
+        """Let a proven worker join whose token is there; its device evaluates so many rows at once."""
         self.workers.on_token(wid, True, now)
-        return self.join(join_message(wid, number, credit, held, rows=rows), now)
+        drop = self.join(join_message(wid, number, credit, held, rows=rows), now)
+        self.workers.answered(wid, b"", now, is_first=True)
+        return drop
 
     def give_up(self, now: float) -> list[LostWorker]:
         """Queue again the batches of overdue workers."""

@@ -3,8 +3,6 @@
 tests/simulation mixes all of them, and checks that nothing is lost, settled twice or left waiting.
 """
 
-from math import inf
-
 import pytest
 from msgspec import structs
 from tests.coordinator.scheduler.leases import (
@@ -21,12 +19,15 @@ from tests.coordinator.scheduler.leases import (
 )
 from tests.fakes.messages import ANN, BOB, EVE, FAY, join_message
 
-from qdgrasp_coordinator.scheduler.batch_dispatcher import STRIKES, Lease
+from qdgrasp_coordinator.scheduler.batch_dispatcher import PAUSE_SECONDS, STRIKES, Lease
+from qdgrasp_coordinator.scheduler.batch_queue import Probe
 from qdgrasp_coordinator.scheduler.worker_registry import (
     ANSWER_SECONDS,
     AWAY_SECONDS,
+    FIRST_ANSWER_SECONDS,
     FIRST_STRAGGLER_SECONDS,
     LEASE_SECONDS,
+    LOOK_SECONDS,
     SCENES_KEPT,
     TOKEN_GRACE,
 )
@@ -50,14 +51,6 @@ def with_one_lease() -> tuple[Dispatch, Lease]:
 
 
 class TestCredit:
-    def test_a_worker_is_leased_as_many_batches_as_it_has_credit(self) -> None:
-        dispatch = with_work()
-        first = dispatch.leases(0.0)
-        assert indices(first) == [[0, 1], [2, 3]]
-        assert dispatch.leases(0.1) == []
-        settle(dispatch, first[1], 0.2)
-        assert indices(dispatch.leases(0.2)) == [[4, 5]]
-
     def test_rows_of_a_device_go_to_workers_that_have_one_as_many_as_it_takes_at_once(self) -> None:
         dispatch = Dispatch(EPOCH)
         submit(dispatch, 40, run="plain")
@@ -119,19 +112,20 @@ class TestSettlement:
         settled = settle(dispatch, lease, 0.5)
         assert settled.rows["index"].tolist() == settled.rows["nu"].tolist() == [5, 6, 7, 8, 9]
         assert settled.rows["genome"].tobytes() == genomes(10)[5:].tobytes()
-        assert (settled.cpu_seconds, settled.failures, settled.superseded) == (0.5, (), ())
+        assert (settled.cpu_seconds, settled.failures) == (0.5, ())
 
-    def test_the_first_of_two_workers_wins_the_other_is_late_and_has_its_credit_back(self) -> None:
+    def test_the_first_of_two_workers_wins_and_the_other_gets_nothing_until_it_answers_too(self) -> None:
         dispatch, anns = with_one_lease()
         dispatch.admit(BOB, 1, 1, [], 1.0)
         dispatch.give_up(LEASE_SECONDS)
         (bobs,) = dispatch.leases(LEASE_SECONDS)
         assert (bobs.wid, bobs.task) == (BOB, anns.task)
-        settled = settle(dispatch, anns, 11.0)
-        assert settled.superseded == (BOB,)
+        assert settle(dispatch, anns, 11.0) is not None
         submit(dispatch, 4, generation=1)
-        assert BOB in [lease.wid for lease in dispatch.leases(11.0)]
+        assert {lease.wid for lease in dispatch.leases(11.0)} == {ANN}
         assert settle(dispatch, bobs, 12.0) is None
+        submit(dispatch, 4, generation=2)
+        assert {lease.wid for lease in dispatch.leases(12.0)} == {BOB}
 
     def test_each_kind_of_result_is_told_apart_and_counted(self) -> None:
         dispatch, lease = with_one_lease()
@@ -191,12 +185,49 @@ class TestFailedRows:
         for _ in range(STRIKES - 1):
             (lease,) = dispatch.leases(0.2)
             settled = settle(dispatch, lease, 0.3, failed=(0,))
+        assert settled.failures == ()
+        (probe,) = dispatch.leases(0.4)
+        assert indices([probe]) == [[0]], "another row, which is evaluated again"
+        assert settle(dispatch, probe, 0.5) is None
+        (lease,) = dispatch.leases(0.6)
+        settled = settle(dispatch, lease, 0.7, failed=(0,))
         assert settled.failures == (Failure(row=0, reason="row 0 burst"),)
         (row,) = settled.rows
         assert (row["outcome"], row["index"], row["nu"]) == (Outcome.ERROR, 1, 0)
         assert row["genome"].tobytes() == genomes(3)[1].tobytes()
         assert dispatch.leases(9.1) == []
-        assert (dispatch.counters["errors"], dispatch.counters["failures"]) == (1, 3)
+        assert (dispatch.counters["errors"], dispatch.counters["failures"]) == (1, 4)
+
+    def test_rows_that_all_fail_are_no_errors_but_tried_now_and_then_until_one_is_evaluated(self) -> None:
+        dispatch, now = with_work(n=20, batch_size=2), 0.0
+        while not dispatch.trouble:
+            for lease in dispatch.leases(now):
+                assert not settle(dispatch, lease, now, failed=(0, 1)[: len(lease.task)]).failures
+            now += 0.1
+        assert "burst" in dispatch.trouble
+        assert dispatch.leases(now + PAUSE_SECONDS / 2) == []
+        lease, *_ = dispatch.leases(now + PAUSE_SECONDS)
+        settle(dispatch, lease, now + PAUSE_SECONDS)
+        assert (dispatch.trouble, dispatch.counters["errors"]) == ("", 0)
+
+    def test_a_row_that_was_evaluated_before_tells_that_all_fail_now(self) -> None:
+        dispatch, now = with_work(n=40, batch_size=2), 0.0
+        settle(dispatch, dispatch.leases(now)[0], now)
+        while not dispatch.trouble:
+            now += 0.1
+            for lease in dispatch.leases(now):
+                settled = settle(dispatch, lease, now, failed=(0, 1)[: len(lease.task)])
+                assert settled is None or not settled.failures
+        for lease in dispatch.leases(now + PAUSE_SECONDS):
+            settle(dispatch, lease, now + PAUSE_SECONDS, failed=() if isinstance(lease.task, Probe) else (0,))
+        assert dispatch.trouble == ""
+
+    def test_the_only_row_is_an_error_where_it_fails_too_often(self) -> None:
+        dispatch, settled = with_work(n=1), None
+        for _ in range(STRIKES):
+            (lease,) = dispatch.leases(0.0)
+            settled = settle(dispatch, lease, 0.0, failed=(0,))
+        assert settled.failures
 
 
 class TestJoins:
@@ -227,22 +258,11 @@ class TestEndsOfLeases:
         for wid in (ANN, BOB):
             dispatch.workers.on_token(wid, False, 3.0)
         dispatch.workers.on_token(BOB, True, 3.5)
-        assert dispatch.give_up(3.0 + TOKEN_GRACE - 0.01) == []
+        assert dispatch.give_up(3.0 + TOKEN_GRACE - LOOK_SECONDS) == []
         (lost,) = dispatch.give_up(3.0 + TOKEN_GRACE)
         assert (lost.worker.wid, lost.batches, lost.reason) == (ANN, anns, "its token vanished")
         (again,) = dispatch.leases(4.0)
         assert (again.wid, again.attempt) == (BOB, 2)
-
-    def test_nobody_is_given_up_while_our_own_link_is_down(self) -> None:
-        dispatch = with_work(n=4, workers=(ANN, BOB))
-        dispatch.leases(0.0)
-        dispatch.workers.on_link(False, 1.0)
-        for wid in (ANN, BOB):
-            dispatch.workers.on_token(wid, False, 1.0)
-        assert (dispatch.workers.next_deadline(), dispatch.give_up(500.0)) == (inf, [])
-        dispatch.workers.on_link(True, 500.0)
-        dispatch.workers.on_token(ANN, True, 500.1)
-        assert [lost.worker.wid for lost in dispatch.give_up(500.0 + TOKEN_GRACE)] == [BOB]
 
     def test_signs_of_progress_put_the_end_of_a_lease_off(self) -> None:
         dispatch = with_work(n=4)
@@ -252,15 +272,20 @@ class TestEndsOfLeases:
         (lost,) = dispatch.give_up(8.0 + LEASE_SECONDS)
         assert lost.reason == "no sign of progress for 10 seconds"
 
-    def test_a_worker_that_shows_progress_and_never_answers_is_given_up_too(self) -> None:
+    @pytest.mark.parametrize("is_measured", [False, True])
+    def test_a_worker_that_shows_progress_and_never_answers_is_given_up_too(self, is_measured) -> None:
         dispatch = with_work(n=4)
         dispatch.leases(0.0)
+        if is_measured:
+            dispatch.workers.lease_timeout.measure(1.0)
+        limit = ANSWER_SECONDS if is_measured else FIRST_ANSWER_SECONDS
         reasons, now = [], 0.0
-        while now < ANSWER_SECONDS:
+        while now < limit:
             now += 5.0
             dispatch.workers.progressed(ANN, now)
             reasons += [lost.reason for lost in dispatch.give_up(now)]
-        assert reasons == ["no answer for 600 seconds"]
+        assert reasons == [f"no answer for {limit:.0f} seconds"]
+        assert ANN[:8] in dispatch.workers.trouble
 
     def test_a_stuck_worker_gets_nothing_until_it_answers_while_another_is_well(self) -> None:
         dispatch = with_work(n=20, workers=(ANN, BOB))
@@ -288,16 +313,7 @@ class TestStragglers:
         (second,) = dispatch.leases(FIRST_STRAGGLER_SECONDS)
         assert (second.task, second.wid != first.wid) == (first.task, True)
         assert dispatch.leases(2 * FIRST_STRAGGLER_SECONDS) == []
-        assert settle(dispatch, second, 5.0).superseded == (first.wid,)
-
-    def test_a_batch_that_one_holder_loses_stays_with_the_other_and_is_queued_once_both_do(self) -> None:
-        dispatch = with_work(n=2, batch_size=2, workers=(ANN, BOB))
-        dispatch.leases(0.0)
-        dispatch.leases(FIRST_STRAGGLER_SECONDS)
-        lose(dispatch, 3.0)
-        assert dispatch.counters["requeued"] == 0
-        lose(dispatch, 4.0, BOB)
-        assert dispatch.counters["requeued"] == 1
+        assert settle(dispatch, second, 5.0) is not None
 
 
 CODE, OTHER_CODE = "c" * 64, "d" * 64
@@ -354,7 +370,7 @@ class TestBuilds:
         (second,) = dispatch.leases(100.0)
         assert (second.wid, second.attempt, second.task) == (BOB, 2, first.task)
         assert dispatch.settle_build(ANN, built(first, reason="it burst"), 101.0) is None, "Bob is at it"
-        assert dispatch.settle_build(ANN, built(first), 101.0).superseded == (BOB,)
+        assert dispatch.settle_build(ANN, built(first), 101.0).pieces
         assert dispatch.settle_build(BOB, built(second), 102.0) is None
 
     def test_a_build_that_fails_three_times_ends_with_its_reason(self) -> None:

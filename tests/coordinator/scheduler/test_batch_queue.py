@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from tests.fakes.messages import result_message
 
-from qdgrasp_coordinator.scheduler.batch_dispatcher import read_result
+from qdgrasp_coordinator.scheduler.auditor import read_result
 from qdgrasp_coordinator.scheduler.batch_queue import (
     BATCH_SECONDS,
     LEAST_SECONDS,

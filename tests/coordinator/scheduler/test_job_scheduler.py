@@ -153,9 +153,9 @@ def test_each_worker_stands_on_one_page(job: SchedulerWithoutRuns, workers: int)
 def test_a_job_ends_by_itself_when_its_time_is_over_and_not_before() -> None:
     scheduler = scheduler_of(FakeRunQueue({}), ends_at=110.0)
     scheduler.step(109.9)
-    assert (scheduler.is_ending, scheduler.next_deadline()) == (False, 110.0)
+    assert (scheduler.is_ending, scheduler.ends_at) == (False, 110.0)
     scheduler.step(110.0)
-    assert (scheduler.is_ending, scheduler.next_deadline()) == (True, inf)
+    assert (scheduler.is_ending, scheduler.ends_at) == (True, inf)
 
 
 @pytest.mark.parametrize(("is_safe", "patience"), [(True, LEAST_STOP_SECONDS), (False, MOST_STOP_SECONDS)])

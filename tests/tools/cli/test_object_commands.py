@@ -7,9 +7,8 @@ import trimesh
 from typer.testing import CliRunner
 
 from qdgrasp_assets.object_model import read_draft
-from qdgrasp_coordinator.storage.outputs import is_drawn_here
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
-from qdgrasp_tools.cli.asset_commands import object_app
+from qdgrasp_tools.cli.asset_commands import is_drawn_here, object_app
 
 BLOCK = (0.02, 0.03, 0.05)
 
