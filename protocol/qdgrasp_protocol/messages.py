@@ -394,6 +394,9 @@ def decode(payload: bytes, kind: type[M]) -> M:
     try:
         return msgspec.convert(values, kind, builtin_types=(bytes,))  # not base64 text in place of bytes
     except msgspec.ValidationError as error:
+        if isinstance(version, int) and 0 < version < VERSION:
+            words = f"it is of version {version} of the protocol, and this package speaks {VERSION}"
+            raise MessageError(f"{words}: update the one that sent it") from None
         raise MessageError(f"not a {kind.wire_name}: {printable(str(error), MAX_REASON)}") from None
 
 

@@ -7,6 +7,7 @@ are too tame, or an invariant is missing.
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from itertools import islice
 from math import inf
 from typing import Any
 from unittest.mock import patch
@@ -138,9 +139,8 @@ def _never_forget(give_up: Real, workers: WorkerRegistry, worker: Worker, now: f
     return give_up(workers, worker, now)
 
 
-def _overlook_the_first(ordered: Real, workers: list[Worker]) -> Iterator[Worker]:
-    rest = sorted(workers, key=lambda worker: (len(worker.batches), worker.progress, worker.order))[1:]
-    yield from ordered(rest)
+def _overlook_the_first(idle: Real, workers: WorkerRegistry) -> Iterator[Worker]:
+    yield from islice(idle(workers), 1, None)
 
 
 def _withdraw_half(withdraw: Real, dispatcher: Dispatcher, run: str) -> Any:
@@ -270,9 +270,7 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
         "give up for ever again who is gone": [around(WorkerRegistry, "_give_up", _stay_due)]
     },
     ("1", "work is handed out", wild): {
-        "overlook a worker with credit": [
-            around(worker_registry, "fewest_batches_first", _overlook_the_first)
-        ],
+        "overlook a worker with credit": [around(WorkerRegistry, "idle", _overlook_the_first)],
     },
     ("5", "bounded memory", wild): {
         "remember every batch": [patch.object(Dispatcher, "_close", _close_and_keep)]

@@ -31,7 +31,7 @@ def test_a_worker_whose_token_comes_seconds_after_its_question_is_not_forgotten(
     assert dispatch.give_up(5.0) == []
     assert dispatch.leases(5.0) == []
     dispatch.workers.on_token(ANN, True, 5.0)
-    assert len(dispatch.leases(5.0)) == 2
+    assert len(dispatch.leases(5.0)) == 1
 
 
 def test_a_worker_whose_last_question_comes_after_its_token_has_gone_is_forgotten() -> None:

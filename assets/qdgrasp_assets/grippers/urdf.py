@@ -427,6 +427,9 @@ def read_robot_element(path: Path) -> ET.Element:
         undeclared = [f' xmlns:{each}="0"' for each in {*PREFIX.findall(text)} if f"xmlns:{each}" not in text]
         text = text.replace("<robot", "".join(["<robot", *undeclared]), 1)
         element = ET.fromstring(text)  # noqa: S314  # the user's own file; expat refuses entities that grow
+        ET.tostring(element)
+    except RecursionError:
+        raise AssetError(f"'{path}' nests elements too deeply for a robot.") from None
     except OSError as error:
         raise AssetError(f"No URDF can be read at '{path}': {error.strerror or error}.") from None
     except (UnicodeError, LookupError):

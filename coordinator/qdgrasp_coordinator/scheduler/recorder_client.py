@@ -173,6 +173,7 @@ class Outbox:
             self._kept.popleft()
 
 
+SILENT_SECONDS = 10.0  # After which it is said that a recorder reports no rows
 REPLAY_ROWS = 2048  # Rows in one page of a replay
 ASK_TIMEOUT, MOST_ASK_TIMEOUT = 1.0, 10.0
 """Seconds that a request to a recorder waits, at first and at most.
@@ -192,6 +193,7 @@ class RecorderClient(Outbox, RowSink):
         self._job = job
         self._run = ""
         self._epoch = 0
+        self._heard = 0.0  # When a recorder reported last, or was to report nothing
 
     def open(self, run: OpenRun, epoch: int, wait: Callable[[], None]) -> Opened:
         """Ask the recorder to open the run, again and again until one answers.
@@ -249,11 +251,15 @@ class RecorderClient(Outbox, RowSink):
             raise TookOver(self._job, message.epoch)
         if message.run != self._run or message.epoch != self._epoch:
             return
-        self.trouble = message.trouble
+        self.trouble, self._heard = message.trouble, now
         self.confirm(message.durable, now)
 
     def tick(self, now: float) -> None:
         """Send the rows that are due."""
+        if not self._is_waiting:
+            self._heard = now
+        elif now >= self._heard + SILENT_SECONDS:
+            self.trouble = f"the recorder of job '{self._job}' does not answer"
         key, kind = self._keys.outcome(self._epoch), messages.encoding(Recordable)
         for part in self.take_due(now):
             message = slice_to_message(part, self._run, self._epoch, self._shape, self.platform)

@@ -128,17 +128,6 @@ class Worker:
         )
 
 
-def fewest_batches_first(workers: list[Worker]) -> Iterator[Worker]:
-    """Yield the worker to lease to next, while one has credit left and took what it was offered.
-
-    Among equals proven ones come first: a silent worker's batch is not given to the next silent one. Then
-    comes the one that was quiet for longest, so that every stuck worker is tried.
-    """
-    for held in range(max((worker.join.credit for worker in workers), default=0)):
-        free = [worker for worker in workers if worker.has_credit and len(worker.batches) == held]
-        yield from sorted(free, key=lambda worker: (not worker.is_proven, worker.progress, worker.order))
-
-
 LEASE_SECONDS = 10.0  # The shortest time without a sign of progress after which a lease is over
 STRAGGLER_SECONDS, STRAGGLER_TURNAROUNDS = 0.25, 3
 """Age of a lease after which an idle worker gets the batch too: so many seconds, or median turnarounds."""
@@ -369,10 +358,16 @@ class WorkerRegistry:
         )
 
     def idle(self) -> Iterator[Worker]:
-        """Yield the worker to lease to next; stuck ones only if no worker is well."""
-        return fewest_batches_first(
-            [worker for worker in self._free.values() if worker.is_well or not self._well]
-        )
+        """Yield the worker to lease to next, while one has credit left and took what it was offered.
+
+        Stuck ones only if no worker is well. Those with fewest batches come first, of these proven ones: a
+        silent worker's batch is not given to the next silent one. Then comes the one that was quiet for
+        longest, so that every stuck worker is tried.
+        """
+        workers = [worker for worker in self._free.values() if worker.is_well or not self._well]
+        for held in range(max((worker.join.credit for worker in workers), default=0)):
+            free = [worker for worker in workers if worker.has_credit and len(worker.batches) == held]
+            yield from sorted(free, key=lambda worker: (not worker.is_proven, worker.progress, worker.order))
 
     @property
     def trouble(self) -> str:

@@ -9,7 +9,6 @@ its line is written.
 import hashlib
 import os
 from contextlib import suppress
-from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from qdgrasp_protocol.spec import RunSpec
 MARKED = (SPEC, JOURNAL, f"{JOURNAL}-wal")
 """The files of a run that its mark depends on."""
 DIGITS = 32  # Characters of digests and marks
+COUNTED_BY = " ".join([version("qdgrasp"), *RunListing.__struct_fields__]).encode()
 
 
 class FinishedRun(Struct, frozen=True, kw_only=True):
@@ -43,14 +43,9 @@ def _spec_digest(spec: RunSpec) -> str:
     return hashlib.sha256(msgspec.msgpack.encode(spec)).hexdigest()[:DIGITS]
 
 
-@cache
-def _counted_by() -> bytes:
-    return " ".join([version("qdgrasp"), *RunListing.__struct_fields__]).encode()
-
-
 def _files_mark(path: Path) -> str:
     """Return the mark of a run's files: a copy that keeps the times of files keeps it."""
-    total, folder = hashlib.sha256(_counted_by()), str(path)
+    total, folder = hashlib.sha256(COUNTED_BY), str(path)
     for name in MARKED:
         with suppress(OSError):  # it is not there, or no longer
             stat = os.stat(f"{folder}/{name}")  # noqa: PTH116  # a path to join costs more than the look

@@ -188,8 +188,9 @@ class JobFolder:
         outputs.replace(self.path / ENDPOINT, f"{endpoint}\n".encode())
 
     def forget_endpoint(self) -> None:
-        """Note that no router listens."""
-        (self.path / ENDPOINT).unlink(missing_ok=True)
+        """Note that no router listens; a disk that died keeps what is on it."""
+        with suppress(OSError):
+            (self.path / ENDPOINT).unlink()
 
     @property
     def logs(self) -> Path:

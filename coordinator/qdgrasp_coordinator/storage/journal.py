@@ -117,7 +117,8 @@ def explaining_errors(file: Path) -> Iterator[None]:
         if code == sqlite3.SQLITE_NOTADB:
             raise FolderError(f"{file} is not a journal of qdgrasp.") from None
         if code in NO_ROOM:
-            raise DiskFull(f"There is no room in {file.parent} for {file.name}: {error}.") from None
+            why = f"There is no room in {file.parent} for {file.name}, or its disk fails"
+            raise DiskFull(f"{why}: {error}.") from None
         if code in UNUSABLE:
             raise FolderError(f"{file} cannot be read or written: {error}.") from None
         raise damaged_file(file, str(error)) from None

@@ -99,6 +99,7 @@ def refused(path, content):
     ("name", "content", "sentence"),
     [
         ("hand.urdf", "this is no XML", "is not XML"),
+        ("deep.urdf", f"<robot>{3000 * '<a>'}{3000 * '</a>'}</robot>", "nests elements too deeply"),
         ("hand.stl", bytes(range(128, 256)), "is not XML but binary data"),
         ("world.sdf", '<sdf version="1.6"/>', "is no URDF but an SDF file"),
         ("hand.xml", '<mujoco model="hand"/>', "is no URDF but a MuJoCo file"),

@@ -11,6 +11,7 @@ from qdgrasp_coordinator.scheduler.recorder_client import (
     MESSAGE_ROWS,
     MOST_UNCONFIRMED,
     RESEND_AFTER,
+    SILENT_SECONDS,
     Outbox,
     RecorderClient,
 )
@@ -18,7 +19,7 @@ from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_protocol.bus import Query
 from qdgrasp_protocol.errors import InputError, RecorderFellBack, Refused, TookOver
 from qdgrasp_protocol.keys import Keys
-from qdgrasp_protocol.messages import Failure
+from qdgrasp_protocol.messages import Failure, Recorded
 from qdgrasp_protocol.rows import RowShape
 
 NARROW_SHAPE = RowShape(genes=1, joints=0)
@@ -125,6 +126,18 @@ def test_a_recorder_that_refuses_is_quoted() -> None:
         link.open(RUN, 0, wait)
     with network.session().answer(keys.log, refuse), pytest.raises(InputError, match="rows 7 to 9"):
         link.recorded_rows(0, wait)
+
+
+def test_a_recorder_that_reports_nothing_is_named_until_it_does() -> None:
+    link = RecorderClient(MemoryNetwork().session(), "many", NARROW_SHAPE)
+    link.push(journal_slice(0, 5))
+    troubles = []
+    for now in (0.0, 1.0, 1.0 + SILENT_SECONDS):
+        link.tick(now)
+        troubles.append(bool(link.trouble))
+    assert troubles == [False, False, True]
+    link.on_report(Recorded(epoch=0, run="", durable=2, trouble=""), 20.0)
+    assert not link.trouble
 
 
 def test_a_recorder_that_serves_another_coordinator_ends_this_one() -> None:

@@ -249,6 +249,16 @@ def test_a_simulator_that_takes_too_much_memory_is_replaced_between_batches(supe
     assert supervision.lost == []
 
 
+def test_simulators_that_are_killed_at_their_start_end_the_worker_after_three():
+    command = [sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"]
+    supervision = Supervision(command)
+    with (
+        supervision.supervisor,
+        pytest.raises(NoSimulator, match="3 died without a row; the last was killed"),
+    ):
+        supervision.begin()
+
+
 def test_a_simulator_that_does_not_start_is_said_with_its_reason():
     supervision = Supervision([*scripted_simulator.COMMAND[:2], "tests.worker.runtime.no_such_module"])
     with supervision.supervisor, pytest.raises(NoSimulator, match="ended with exit code 1"):

@@ -143,6 +143,7 @@ log = structlog.get_logger()
 MAX_IN_FLIGHT = 2  # Batches at the simulator: the one in work, and one that waits, so that it is never idle
 MEMORY_HEADROOM = 1.4  # Memory that a simulator may allocate within a batch, over what it may keep
 MAX_LOAD_CRASHES = 3  # A scene that crashed as many simulators while loading is not tried again
+MAX_FIRST_DEATHS = 3  # Simulators killed at their start, before any was ready, that end the worker
 SIMULATOR_COMMAND = [sys.executable, "-m", "qdgrasp_worker.runtime.simulator_main"]
 
 
@@ -300,10 +301,9 @@ class SimulatorSupervisor:
             self._restarts.on_progress()
             return 0.0
         pause = self._restarts.on_death(now, is_from_outside=reason is None)
-        if pause is None:
-            raise NoSimulator(
-                f"{self._restarts.deaths} died without a row; {reason or 'the last was killed'}"
-            )
+        deaths, killed = self._restarts.deaths, "the last was killed, as for want of memory"
+        if pause is None or (self.platform is None and deaths >= MAX_FIRST_DEATHS):
+            raise NoSimulator(f"{deaths} died without a row; {reason or killed}")
         return pause
 
     def _on_end(self, event: SimulatorEnded, now: float) -> list[BatchProgress]:
