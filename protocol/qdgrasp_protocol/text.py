@@ -65,3 +65,34 @@ def aligned_text(lines: Sequence[Sequence[str]], left: Iterable[int] = ()) -> st
         ).rstrip()
         for line in lines
     )
+
+
+MAX_SECONDS = 99_999 * 86_400.0  # seconds; longer times are shown as this
+
+
+def count_text(number: float) -> str:
+    """Return a count with its thousands apart: 41 200."""
+    return f"{round(number):,}".replace(",", " ")
+
+
+def rate_text(number: float) -> str:
+    """Return a number a second, with a tenth where it is small."""
+    return f"{number:.1f}" if number < 10 and number % 1 else count_text(number)
+
+
+def percent_text(some: float, total: float) -> str:
+    """Return a share in per cent, in at most five characters: 0 %, <1 %, 62 %."""
+    share = 100 * some / total if total else 0.0
+    return "<1 %" if 0 < share <= 0.5 else f"{share:.0f} %"
+
+
+def span_text(seconds: float) -> str:
+    """Return a time in at most seven characters: 4 s, 12:05, 3:12 h, 2.5 d."""
+    whole = max(0, round(min(seconds, MAX_SECONDS)))
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02d}"
+    if whole < 86_400:
+        return f"{whole // 3600}:{whole // 60 % 60:02d} h"
+    return f"{whole / 86_400:.1f} d"

@@ -127,13 +127,6 @@ def _join_without_requeue(join: Real, dispatcher: Dispatcher, *arguments: Any) -
         return join(dispatcher, *arguments)
 
 
-def _stay_due(give_up: Real, workers: WorkerRegistry, worker: Worker, now: float) -> LostWorker:
-    gone, worker.gone_at = worker.gone_at, None
-    lost: LostWorker = give_up(workers, worker, now)
-    worker.gone_at = gone
-    return lost
-
-
 def _never_forget(give_up: Real, workers: WorkerRegistry, worker: Worker, now: float) -> LostWorker:
     worker.gone_at = None  # as one whose token is there, but who makes no progress
     return give_up(workers, worker, now)
@@ -143,9 +136,9 @@ def _overlook_the_first(idle: Real, workers: WorkerRegistry) -> Iterator[Worker]
     yield from islice(idle(workers), 1, None)
 
 
-def _withdraw_half(withdraw: Real, dispatcher: Dispatcher, run: str) -> Any:
+def _withdraw_half(withdraw: Real, dispatcher: Dispatcher, run: str, **how: bool) -> Any:
     with patch.object(BatchQueue, "withdraw"):
-        return withdraw(dispatcher, run)
+        return withdraw(dispatcher, run, **how)
 
 
 # Pipeline, outbox, recorder.
@@ -265,9 +258,6 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
     ("4", "bounded memory", wild): {
         "never forget a worker": [around(WorkerRegistry, "_give_up", _never_forget)],
         "wait for late tokens for ever": [patch.object(worker_registry, "TOKEN_DELAY", inf)],
-    },
-    ("4", "no machine spins", wild): {
-        "give up for ever again who is gone": [around(WorkerRegistry, "_give_up", _stay_due)]
     },
     ("1", "work is handed out", wild): {
         "overlook a worker with credit": [around(WorkerRegistry, "idle", _overlook_the_first)],

@@ -299,6 +299,9 @@ class DispatchChecker:
         self._host.note(
             f"hears {result.batch.hex()[-4:]} of worker {int(wid, 16)}: {'fresh' if settled else 'dropped'}"
         )
+        holder = self._workers.get(wid)
+        is_free = holder is None or result.batch not in holder.batches
+        require(is_free or result.epoch != self._host.scheduler.epoch, "nothing is lost", "still held:", wid)
         if settled is None:
             return None
         batch = result.batch

@@ -28,7 +28,7 @@ from qdgrasp_protocol.spec import (
     read_run_spec,
 )
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.campaign.campaign_folder import extend_run
+from qdgrasp_tools.campaign.campaign_folder import extend_run, take_errors_back
 from qdgrasp_tools.campaign.ranking import write_ranking
 from qdgrasp_tools.campaign.summaries import run_summary
 from qdgrasp_tools.cli import options
@@ -165,7 +165,8 @@ def echo_errors(errors: int, path: str) -> None:
     if errors:
         echo(
             f"The simulator failed on {counted(errors, 'row')}, and their grasps are missing; "
-            f"`qdgrasp verify {path}` tries some of them again, --all all."
+            f"`qdgrasp verify {path}` tries some of them again, --all all; "
+            "`qdgrasp resume --again-errors` lets a run go on from before the first."
         )
 
 
@@ -179,6 +180,7 @@ def write_ranking_of(folder: RunFolder) -> None:
 def resume(
     directory: options.RunDir,
     keys: dict[str, Any],
+    again_errors: Annotated[bool, typer.Option("--again-errors", help="Evaluate errors again.")] = False,
     seconds: options.Seconds = None,
     workers: options.Workers = None,
     listen: options.Listen = None,
@@ -187,7 +189,8 @@ def resume(
 ) -> None:
     """Continue a run where its journal ends; --evaluations extends a finished one.
 
-    So do --grasps, and other keys that end a run by --set, where it ended with these.
+    So do --grasps, and other keys that end a run by --set, where it ended with these. --again-errors takes
+    back the first row on which the simulator failed, and all behind it: the search had heard of that.
 
     Example: qdgrasp resume runs/panda-mug-portfolio-s0 --evaluations 20000
     """
@@ -201,6 +204,8 @@ def resume(
         pass  # it is readable, and of this spec and scene
     if keys:
         extend_run(folder, **keys)
+    if again_errors:
+        take_errors_back(folder)
     found = run_summary(folder)
     if found.complete:
         echo(f"{directory} is finished: {found.words}")

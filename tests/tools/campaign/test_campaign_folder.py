@@ -16,6 +16,7 @@ from qdgrasp_coordinator.scheduler.run_plan import JobExtent
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.journal import Journal
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, FINISHED, JOURNAL
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError, ImpossibleValue
@@ -27,6 +28,7 @@ from qdgrasp_tools.campaign.campaign_folder import (
     begin_campaign,
     extend_run,
     open_campaign,
+    take_errors_back,
 )
 from qdgrasp_tools.campaign.summaries import campaign_summary
 
@@ -57,6 +59,17 @@ def test_a_run_whose_trials_end_a_generation_early_keeps_its_budget(tmp_path: Pa
     whole = begun(tmp_path / "whole", generation(8), protocol="robust", evaluations=8)
     extend_run(whole, evaluations=100)
     assert whole.spec.evaluations == 100
+
+
+def test_errors_are_taken_back_with_all_rows_behind_the_first(tmp_path: Path) -> None:
+    rows = generation(6)
+    rows["outcome"][4] = Outcome.ERROR
+    folder = begun(tmp_path, rows, protocol="robust", evaluations=6)
+    with JournalWriter.open(folder.path) as journal:
+        journal._database.execute("INSERT INTO errors VALUES (4, 'it burst')")
+    take_errors_back(folder)
+    with folder.journal() as journal:
+        assert (journal.count <= 4, journal.errors()) == (True, {})
 
 
 N = 100
