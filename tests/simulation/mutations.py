@@ -30,6 +30,7 @@ from qdgrasp_coordinator.storage.journal import JournalSlice
 from qdgrasp_protocol.bus import Sample
 from qdgrasp_protocol.messages import Recordable, Recorded
 from qdgrasp_worker.runtime.job_registry import JobSession
+from qdgrasp_worker.runtime.service import WorkerService
 
 MOST = 240
 """A mutation is to be noticed within so many histories."""
@@ -258,6 +259,9 @@ PATCHES: dict[tuple[str, str, Callable[[int], History]], dict[str, list[Any]]] =
     ("4", "bounded memory", wild): {
         "never forget a worker": [around(WorkerRegistry, "_give_up", _never_forget)],
         "wait for late tokens for ever": [patch.object(worker_registry, "TOKEN_DELAY", inf)],
+    },
+    ("2", "no machine spins", wild): {
+        "a worker looks up again and again": [patch.object(WorkerService, "_wait_seconds", lambda *_: 0.0)]
     },
     ("1", "work is handed out", wild): {
         "overlook a worker with credit": [around(WorkerRegistry, "idle", _overlook_the_first)],
