@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.distance import pdist
 
 from qdgrasp_assets.gripper_setup.closing_motion import ClosingMotion, approach_direction, axis_offset
 from qdgrasp_assets.gripper_setup.posture_checks import AXIS_OFF, BESIDE
@@ -21,7 +20,8 @@ LEAST_HELD, LEAST_HELD_BY_TWO = 0.03, 0.3
 def fitting_sizes(closing: ClosingMotion, file: GripperFile) -> dict[str, float]:
     """Return the size of each object for a hand, in whole millimetres [m]."""
     tips = closing.tips(0.0) if len(closing.fingers) > 1 else np.vstack([closing.tips(0), closing.tips(1)])
-    opening = file.jaw.opening if file.jaw else float(pdist(tips).mean())
+    one, other = np.triu_indices(len(tips), 1)
+    opening = file.jaw.opening if file.jaw else float(np.linalg.norm(tips[one] - tips[other], axis=1).mean())
     return {
         name: round(min(max(share * opening, SMALLEST), most), 3) for name, (share, most) in SIZES.items()
     }
