@@ -23,6 +23,7 @@ from qdgrasp_protocol.errors import AssetError, ImpossibleValue
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import parse_numbers
 from qdgrasp_tools.cli import asset_commands, options
+from qdgrasp_tools.local.progress import progress_messages
 from qdgrasp_tools.verification.hand_test import try_hand
 
 Vector3 = tuple[float, float, float]
@@ -116,6 +117,7 @@ def new(
     file.check()
     asset_commands.picture_file(target.parent, target.name, "--out").check()
     with ExitStack() as until_written:
+        until_written.enter_context(progress_messages())(f"looking at {urdf}")
         robot, given = usable_robot(read_tree(urdf, echo), given, file, until_written, echo, repair=repair)
         if robot.path == repaired_urdf(target):
             echo(f"written: {robot.path}")
@@ -162,10 +164,12 @@ def check(
     """
     if picture is not None:
         asset_commands.picture_file(picture, name).check()
-    if options.is_robot_file(name):
-        found, hand = examine_urdf(Path(name).expanduser(), name)
-    else:
-        found, hand = examine_gripper(name), None
+    with progress_messages() as tell:
+        tell(f"looking at {name}")
+        if options.is_robot_file(name):
+            found, hand = examine_urdf(Path(name).expanduser(), name)
+        else:
+            found, hand = examine_gripper(name), None
     asset_commands.print_findings(found, as_json=as_json)
     if picture is not None and (hand is not None or found.facts):
         drawn = asset_commands.draw_asset(hand or find_gripper(name), name, picture)
