@@ -16,7 +16,7 @@ import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from io import BytesIO
@@ -28,8 +28,7 @@ from PIL import Image, ImageChops
 
 import qdgrasp
 from qdgrasp_assets import grippers
-from qdgrasp_assets.grippers.hand_model import followers
-from qdgrasp_assets.grippers.urdf import read_urdf
+from qdgrasp_assets.grippers.hand_model import coupling_errors
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.export.grasp_reader import spread_places
@@ -277,14 +276,18 @@ def scaled(images: list[Image.Image]) -> list[Image.Image]:
     ]
 
 
-def gallery(packages: Path, work: Path) -> None:
-    """Make the pictures, and print a line of figures for each hand."""
-    for hand in HANDS:
+def made(hands: Iterable[Hand], packages: Path, work: Path) -> Iterator[tuple[Hand, Path, str]]:
+    """Yield hands, each with its file and the times of `make`; say which are skipped."""
+    for hand in hands:
         try:
-            file, times = make(hand, packages, work)
+            yield (hand, *make(hand, packages, work))
         except Skipped as reason:
             print(f"skipped: {hand.title}: {reason}")
-            continue
+
+
+def gallery(packages: Path, work: Path) -> None:
+    """Make the pictures, and print a line of figures for each hand."""
+    for hand, file, times in made(HANDS, packages, work):
         run = filled(hand, file, "mujoco", EVALUATIONS)
         picture(hand, run)
         with RunFolder.open(run).journal() as journal:
@@ -295,12 +298,7 @@ def gallery(packages: Path, work: Path) -> None:
 
 def linkages(packages: Path, work: Path) -> None:
     """Print how far followers leave their coupling in grasps that hold, and how engines agree."""
-    for hand in LINKAGES:
-        try:
-            file, _ = make(hand, packages, work)
-        except Skipped as reason:
-            print(f"skipped: {hand.title}: {reason}")
-            continue
+    for hand, file, _ in made(LINKAGES, packages, work):
         said = [hand.title, hand.target]
         agreed = total = 0
         for engine, other in (("bullet", "mujoco"), ("mujoco", "bullet")):
@@ -310,21 +308,11 @@ def linkages(packages: Path, work: Path) -> None:
             )
             grasps = qdgrasp.open(run).grasps(holds_in=None)
             held = grasps[grasps.fitness >= 6]
-            off = np.concatenate([*deviations(file, held), np.zeros(1)])
+            off = np.append(coupling_errors(held.scene.gripper, held.joints), 0.0)
             verdicts = held.verdicts_in(other)
             agreed, total = agreed + int((verdicts == Outcome.HELD).sum()), total + len(held)
             said += [str(len(held)), f"{np.median(off):.1g}", f"{off.max():.1g}"]
         print(f"| {' | '.join(said)} | {agreed} of {total}: {agreed / max(total, 1):.2f} |", flush=True)
-
-
-def deviations(file: Path, grasps: Grasps) -> Iterator[np.ndarray]:
-    """Yield how far each follower is from where its leader puts it [rad or m], for each grasp."""
-    names = list(grasps.joint_names)
-    robot = read_urdf(file.parent / "hand_repaired.urdf")
-    for name, each in followers(robot).items():
-        if name in names and each.leader in names:
-            leader = grasps.joints[:, names.index(each.leader)].astype(float)
-            yield np.abs(grasps.joints[:, names.index(name)] - each.position(leader))
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from math import acos, dist, inf
 from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.grippers.urdf import UrdfJoint
 from qdgrasp_assets.scene import Joint, RestingPose, SceneGripper, Vector
-from qdgrasp_protocol.rows import DAMPING_RATIO, JAW_PRELOAD, DriveGains
+from qdgrasp_protocol.drives import DAMPING_RATIO, JAW_PRELOAD, DriveGains
 from qdgrasp_worker.contact_margin import HULL_MARGIN
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import Episode

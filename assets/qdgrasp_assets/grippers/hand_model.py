@@ -73,15 +73,18 @@ def couplings(robot: Urdf, gripper: SceneGripper) -> dict[str, MimicJoint]:
     }
 
 
-def coupling_error(gripper: SceneGripper, postures: NDArray[np.float32]) -> float | None:
-    """Return how far coupled joints are off in postures (n, j), at most [rad or m].
-
-    None: no joint is coupled.
-    """
+def coupling_errors(gripper: SceneGripper, postures: NDArray[np.float32]) -> Floats:
+    """Return how far coupled joints are off in postures (n, j): (joints, n) [rad or m]."""
     joints = {joint.name: column for joint, column in zip(gripper.joints, postures.T, strict=True)}
     found = couplings(scene_robot(gripper), gripper).items()
     errors = [joints[name] - each.position(joints[each.leader]) for name, each in found]
-    return float(np.abs(errors).max(initial=0.0)) if errors else None
+    return np.abs(np.reshape(errors, (len(errors), len(postures))))
+
+
+def coupling_error(gripper: SceneGripper, postures: NDArray[np.float32]) -> float | None:
+    """Return the greatest of these errors; None: no joint is coupled."""
+    errors = coupling_errors(gripper, postures)
+    return float(errors.max(initial=0.0)) if len(errors) else None
 
 
 MOST_LEFT_OUT = 0.5

@@ -12,8 +12,9 @@ from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.grippers.urdf import scene_robot
 from qdgrasp_assets.scene import SceneGripper
+from qdgrasp_protocol.drives import JAW_PRELOAD, DriveGains
 from qdgrasp_protocol.errors import InputError
-from qdgrasp_protocol.rows import DISTURBANCES, JAW_PRELOAD, DriveGains
+from qdgrasp_protocol.rows import DISTURBANCES
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.export.grasp_table import GraspColumn, GraspContacts
 

@@ -11,9 +11,10 @@ from qdgrasp_assets.geometry.mesh import parse_parts, parts_to_obj
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.geometry.voxels import convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import collision_elements, part_corners
+from qdgrasp_assets.grippers.hand_model import couplings
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, scene_robot
 from qdgrasp_assets.scene import Joint, Scene, Vector
-from qdgrasp_protocol.rows import DAMPING_RATIO, JAW_PRELOAD, DriveGains
+from qdgrasp_protocol.drives import DAMPING_RATIO, JAW_PRELOAD, DriveGains
 
 OPTIONS = {"timestep": "0.002", "integrator": "implicitfast", "cone": "elliptic", "impratio": "10"}
 OF_HAND, OF_OBJECT = {"contype": "1", "conaffinity": "2"}, {"contype": "2", "conaffinity": "1"}
@@ -70,11 +71,9 @@ def scene_mjcf(scene: Scene, robot: Urdf, parts: Iterable[Floats], com: Vector) 
     for link, collision in collision_elements(robot):
         _add_hulls(places[link], assets, part_corners(robot, collision, hand.meshes), OF_HAND)
     if hand.jaw:
-        first, *others = (joint for joint in hand.joints if joint.driven)
-        for joint in others:
-            ratio = (joint.closed - joint.opened) / (first.closed - first.opened)
-            polynomial = _text([joint.opened - ratio * first.opened, ratio, 0, 0, 0])
-            ET.SubElement(equality, "joint", joint1=joint.name, joint2=first.name, polycoef=polynomial)
+        for name, led in couplings(robot, hand).items():
+            polynomial = _text([led.offset, led.multiplier, 0, 0, 0])
+            ET.SubElement(equality, "joint", joint1=name, joint2=led.leader, polycoef=polynomial)
     thing = ET.SubElement(world, "body", name="object")
     ET.SubElement(thing, "freejoint")
     squares = np.subtract(scene.object_high, scene.object_low) ** 2

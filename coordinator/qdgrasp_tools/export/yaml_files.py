@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from qdgrasp_assets.grippers.hand_model import followers
 from qdgrasp_assets.grippers.urdf import scene_robot
 from qdgrasp_assets.scene import Scene, SceneGripper
-from qdgrasp_protocol.rows import DISTURBANCES, JAW_PRELOAD, NO_SYNERGY, nominal_protocol
+from qdgrasp_protocol.drives import JAW_PRELOAD
+from qdgrasp_protocol.rows import DISTURBANCES, NO_SYNERGY, nominal_protocol
 from qdgrasp_tools.export.grasp_table import (
     GraspMetadata,
     GraspTable,

@@ -10,7 +10,7 @@ import numpy as np
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.gripper_setup.closing_motion import ClosingMotion
-from qdgrasp_assets.gripper_setup.hand_trial import HandTrial, fitting_sizes
+from qdgrasp_assets.gripper_setup.hand_verdict import HandVerdict, fitting_sizes
 from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
@@ -26,7 +26,7 @@ NU, NEAR_NORMAL = 3, 0.25  # Place of the gene of the approach cone's angle; sha
 MASS = 0.05  # Of each object [kg]
 
 
-def try_hand(hand: Gripper, path: Path, closing: ClosingMotion, stop: Stop) -> HandTrial | None:
+def try_hand(hand: Gripper, path: Path, closing: ClosingMotion, stop: Stop) -> HandVerdict | None:
     """Close the hand of the file at `path` on both objects; None where a signal came first.
 
     It is simulated in MuJoCo, or in Bullet if that alone takes its shapes. Raises as `run_temporary_job`.
@@ -45,7 +45,7 @@ def try_hand(hand: Gripper, path: Path, closing: ClosingMotion, stop: Stop) -> H
     with progress_display("closing on a ball and a box", len(plans) * POSES) as shown:
         run_temporary_job("hand-test", queue, lambda plan: sinks[plan.run], config, shown, stop)
     rows = np.concatenate([sink.rows for sink in sinks.values()])
-    return None if stop.is_set else HandTrial(closing, hand.file, carried.links, rows)
+    return None if stop.is_set else HandVerdict(closing, hand.file, carried.links, rows)
 
 
 def _plan(values: dict[str, str], name: str, size: float, folder: Path) -> RunPlan:

@@ -8,7 +8,7 @@ import pytest
 from tests.assets import example_hands, example_mjcf
 from typer.testing import CliRunner
 
-from qdgrasp_assets.gripper_setup.hand_trial import HandTrial
+from qdgrasp_assets.gripper_setup.hand_verdict import HandVerdict
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, RowShape
@@ -22,7 +22,7 @@ def trial_of(hand, closing, outcome):
     links = [link for finger in closing.fingers for link in finger.links]
     rows = RowShape(8, 1, len(links)).empty(9)
     rows["outcome"], rows["contact_links"] = outcome, np.arange(1, 1 + len(links))
-    return HandTrial(closing, hand.file, links, rows)
+    return HandVerdict(closing, hand.file, links, rows)
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The trial of a guessed hand on a ball and a box, and flags that may correct it."""
+"""The verdict on a guessed hand that closed on two objects, and flags that may correct it."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ def fitting_sizes(closing: ClosingMotion, file: GripperFile) -> dict[str, float]
 
 
 @dataclass(frozen=True)
-class HandTrial:
+class HandVerdict:
     """The evaluations of a guessed hand on both objects."""
 
     closing: ClosingMotion
