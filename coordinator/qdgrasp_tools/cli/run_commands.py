@@ -180,7 +180,9 @@ def write_ranking_of(folder: RunFolder) -> None:
 def resume(
     directory: options.RunDir,
     keys: dict[str, Any],
-    again_errors: Annotated[bool, typer.Option("--again-errors", help="Evaluate errors again.")] = False,
+    again_errors: Annotated[
+        bool, typer.Option("--again-errors", help="Go back to the first row on which the simulator failed.")
+    ] = False,
     seconds: options.Seconds = None,
     workers: options.Workers = None,
     listen: options.Listen = None,
