@@ -23,8 +23,8 @@ from qdgrasp_tools.campaign.campaign_folder import open_campaign
 from qdgrasp_tools.campaign.summaries import RunSummary, run_summary
 from qdgrasp_tools.export.grasp_reader import ALL_FAILURES, GraspChoice, choose_grasps, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
-from qdgrasp_tools.export.grasp_table import frame_of
-from qdgrasp_tools.export.tabular import SAMPLE_ROWS, arrow_table, load_pandas
+from qdgrasp_tools.export.grasp_table import arrow_table, frame_of, load_pandas
+from qdgrasp_tools.export.tabular import SAMPLE_ROWS
 
 
 class Run:
@@ -142,7 +142,7 @@ class Run:
         check_packages("Run.tables", "pyarrow")
         grasps = choose_grasps(read_run(self._folder), GraspChoice(min_fitness)).grasps
         for first in range(0, len(grasps), SAMPLE_ROWS):
-            yield arrow_table(grasps[first : first + SAMPLE_ROWS].table(frame_of(frame)))
+            yield arrow_table(grasps[first : first + SAMPLE_ROWS].all_columns(frame_of(frame)))
 
     def rows(self) -> Rows:
         """Return every row of the journal (n,), failures and trials too, as a structured array.

@@ -23,7 +23,9 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import parse_parts, parts_to_obj
 from qdgrasp_assets.geometry.rotation import from_frame, tangents
-from qdgrasp_tools.export.grasp_table import COM, RunTable, from_matrices, object_mesh, to_matrices
+from qdgrasp_assets.scene import SceneObject
+from qdgrasp_tools.export.grasp_set import Grasps
+from qdgrasp_tools.export.grasp_table import GraspMetadata, from_matrices, object_mesh, to_matrices
 from qdgrasp_tools.export.scene_mjcf import closing_speeds, replay_files
 
 HALF, NO_TURN = 0.5**0.5, (0, 0, 0, 0, 0, 0, 1)
@@ -46,41 +48,36 @@ NEAR = 0.1  # Most that fingers are open before a grasp, from which they arrive 
 PADS = 0.009  # Distance of the middle of a fingertip's pad from its end, as of Franka's own TCP [m]
 
 
-def write_dexgraspbench(path: Path, table: RunTable) -> None:
+def write_dexgraspbench(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     """Write grasps, and the object that they are of, as a folder for DexGraspBench."""
-    about, names = table.about, list(table.joint_names)
+    postures, names = grasps.postures, list(grasps.postures.names)
     pose, joint_order = MJCF_HANDS.get(about.gripper_frame, (NO_TURN, names))
     if not set(joint_order) <= set(names):
         pose, joint_order = NO_TURN, names
     root, order = to_matrices(np.array([pose])), [names.index(name) for name in joint_order]
-    opened = table.joints - np.clip(table.joints - table.pregrasp, -NEAR, NEAR)
-    squeeze = table.joints + (1 if table.scene.gripper.jaw else PRESS) * (table.squeeze - table.joints)
+    joints = postures.joints
     kinds = {
-        "pregrasp_qpos": (table.grasp_poses, opened),
-        "grasp_qpos": (table.grasp_poses, table.joints),
-        "squeeze_qpos": (table.grasp_poses, squeeze),
+        "pregrasp_qpos": joints - np.clip(joints - postures.pregrasp, -NEAR, NEAR),
+        "grasp_qpos": joints,
+        "squeeze_qpos": joints + (1 if grasps.scene.gripper.jaw else PRESS) * (postures.squeeze - joints),
     }
-    qpos = {
-        kind: np.hstack([from_matrices(to_matrices(poses) @ root)[:, WXYZ], joints[:, order]])
-        for kind, (poses, joints) in kinds.items()
-    }
+    poses = from_matrices(to_matrices(grasps.settled_poses(about.frame)) @ root)[:, WXYZ]
+    qpos = {kind: np.hstack([poses, values[:, order]]) for kind, values in kinds.items()}
     folder, home = f"{ASSETS}/object/{about.object}", path / DATA / about.object
     home.mkdir(parents=True)
     place = {"obj_pose": np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]), "obj_scale": 1.0, "obj_path": folder}
-    for i, number in enumerate(table.names):
+    for i, number in enumerate(grasps.numbers):
         grasp: Any = place | {kind: values[i] for kind, values in qpos.items()}
         np.save(home / f"{number}.npy", grasp)
-    columns = {column.name: column.values.tolist() for column in table.columns.values()}
+    columns = {name: values.tolist() for name, values in grasps.columns(about.frame).items()}
     beside = {"joint_order": joint_order, "root": pose, "grasps": columns}
     (path / ABOUT).write_bytes(msgspec.json.encode(about.values | beside))
-    _write_bench_object(path / folder, table)
+    _write_bench_object(path / folder, grasps.scene.object, about)
 
 
-def _write_bench_object(path: Path, table: RunTable) -> None:
+def _write_bench_object(path: Path, body: SceneObject, about: GraspMetadata) -> None:
     """Write an object's convex parts, surface and facts as the evaluator looks for them."""
-    body, about = table.scene.object, table.about
-    offset = np.zeros(3) if table.frame == COM else np.array(body.com_in_mesh)
-    parts = [part.moved(offset) for part in parse_parts(body.collision.decode())]
+    parts = [part.moved(about.object_com) for part in parse_parts(body.collision.decode())]
     facts: dict[str, Any] = {
         "gravity_center": about.object_com,
         "obb": about.object_size,
@@ -88,7 +85,7 @@ def _write_bench_object(path: Path, table: RunTable) -> None:
         "density": 1.0,
     }
     meshes = {f"urdf/meshes/convex_piece_{i:03}.obj": part for i, part in enumerate(parts)}
-    for name, mesh in (meshes | {"mesh/simplified.obj": object_mesh(body, table.frame)}).items():
+    for name, mesh in (meshes | {"mesh/simplified.obj": object_mesh(body, about.frame)}).items():
         (path / name).parent.mkdir(parents=True, exist_ok=True)
         (path / name).write_bytes(parts_to_obj([mesh]))
     (path / "info").mkdir()
@@ -96,40 +93,42 @@ def _write_bench_object(path: Path, table: RunTable) -> None:
     (path / "info/simplified.json").write_bytes(msgspec.json.encode(facts))
 
 
-def write_molmospaces(path: Path, table: RunTable) -> None:
+def write_molmospaces(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     """Write grasps as a MolmoSpaces file."""
-    hand = table.scene.gripper
+    hand = grasps.scene.gripper
     z = np.array([hand.approach_axis])
     y = np.array([hand.jaw.axis]) if hand.jaw else tangents(z)[1]
     tips = np.hstack([z * (hand.reach - PADS), from_frame(np.cross(y, z), y, z)])
-    _write_npz(path, table, transforms=to_matrices(table.poses) @ to_matrices(tips))
+    transforms = to_matrices(grasps.poses(about.frame)) @ to_matrices(tips)
+    _write_npz(path, grasps, about, transforms=transforms)
 
 
-def write_curobo(path: Path, table: RunTable) -> None:
+def write_curobo(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     """Write grasps as the arrays of a goal set for cuRobo."""
-    goals, frames = table.poses[None, None, None][..., WXYZ].astype(np.float32), [table.about.gripper_frame]
-    _write_npz(path, table, tool_frames=np.array(frames), position=goals[..., :3], quaternion=goals[..., 3:])
+    goals = grasps.poses(about.frame)[None, None, None][..., WXYZ].astype(np.float32)
+    arrays = {"position": goals[..., :3], "quaternion": goals[..., 3:]}
+    _write_npz(path, grasps, about, tool_frames=np.array([about.gripper_frame]), **arrays)
 
 
 BUNDLE = {"scene.xml", "replay.py", "grasps.npz", "hand", "object"}
 
 
-def write_bundle(path: Path, table: RunTable) -> None:
+def write_bundle(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     """Write a folder that replays grasps in plain MuJoCo, without this project."""
-    files, hand = replay_files(table.scene, table.about.object_com), table.scene.gripper
-    files["object/mesh.obj"] = parts_to_obj([object_mesh(table.scene.object, table.frame)])
+    files, hand = replay_files(grasps.scene, about.object_com), grasps.scene.gripper
+    files["object/mesh.obj"] = parts_to_obj([object_mesh(grasps.scene.object, about.frame)])
     for name, content in files.items():
         (path / name).parent.mkdir(parents=True, exist_ok=True)
         (path / name).write_bytes(content)
     ends = np.array([joint.closed for joint in hand.joints])  # of a jaw; others close until they press
-    opened, squeeze = table.pregrasp[:, : len(ends)], table.squeeze[:, : len(ends)]
+    opened, squeeze = grasps.pregrasp, grasps.postures.squeeze[:, : len(ends)]
     closed = np.broadcast_to(ends, opened.shape) if hand.jaw else squeeze
-    speeds = np.array(closing_speeds(table.scene))
-    _write_npz(path / "grasps.npz", table, pose=table.poses, opened=opened, closed=closed, speeds=speeds)
+    arrays: dict[str, Any] = {"pose": grasps.poses(about.frame), "opened": opened, "closed": closed}
+    _write_npz(path / "grasps.npz", grasps, about, **arrays, speeds=np.array(closing_speeds(grasps.scene)))
 
 
-def _write_npz(path: Path, table: RunTable, **arrays: NDArray[Any]) -> None:
-    """Write arrays with all columns of a table, and its metadata as JSON in `qdgrasp`."""
-    arrays |= {column.name: column.values for column in table.columns.values()}
+def _write_npz(path: Path, grasps: Grasps, about: GraspMetadata, **arrays: NDArray[Any]) -> None:
+    """Write arrays with all columns of grasps, and their metadata as JSON in `qdgrasp`."""
+    arrays |= grasps.columns(about.frame)
     with path.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, qdgrasp=np.array(table.about.json), **arrays)
+        np.savez_compressed(file, allow_pickle=False, qdgrasp=np.array(about.json), **arrays)

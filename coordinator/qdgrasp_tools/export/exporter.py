@@ -30,12 +30,12 @@ from qdgrasp_tools.export.grasp_reader import (
     grasp_metadata,
     read_journal,
 )
+from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import (
     FITNESS_MEANING,
     UNITS,
     Frame,
     GraspMetadata,
-    RunTable,
     asset_name,
     common_values,
     frame_of,
@@ -50,7 +50,7 @@ class ExportFormat:
     name: str
     suffix: str
     """Ending of its files; empty: it is a folder."""
-    write: Callable[[Path, RunTable], None]
+    write: Callable[[Path, Grasps, GraspMetadata], None]
     default_failures: int | None = 0
     """Failures that are written by default; None: the format has no place for them."""
     packages: tuple[str, ...] = ()
@@ -168,7 +168,7 @@ class GraspWriter:
             tell(f"writing {counted(len(chosen.grasps), 'evaluation')} to {output.path}")
             metadata = grasp_metadata(chosen, self.frame, journal)
             with output.writing() as made:
-                self.format.write(made, chosen.grasps.table(self.frame, metadata))
+                self.format.write(made, chosen.grasps, metadata)
                 if self.format.has_mesh:
                     beside.write(jaw_files.mesh_file(chosen.grasps.scene.object, self.frame))
         note = ""
@@ -291,15 +291,14 @@ class DatasetWriter:
         if not len(chosen.grasps):
             return []
         home.mkdir(parents=True, exist_ok=True)
-        table = chosen.grasps.table(self.writer.frame, metadata)
         if form.name != "graspgen":
             made = [home / f"{run.name}{form.suffix}"]
-            form.write(made[0], table)
+            form.write(made[0], chosen.grasps, metadata)
             if form.has_mesh:
                 made.append(jaw_files.mesh_beside(made[0]))
-                made[1].write_bytes(jaw_files.mesh_file(table.scene.object, table.frame))
+                made[1].write_bytes(jaw_files.mesh_file(chosen.grasps.scene.object, metadata.frame))
         else:
-            jaw_files.write_graspgen_object(home, run.name, table)
+            jaw_files.write_graspgen_object(home, run.name, chosen.grasps, metadata)
             ends = {jaw_files.DATA: "json", jaw_files.OBJECTS: "obj"}
             made = [home / folder / f"{run.name}.{end}" for folder, end in ends.items()]
         return [file.relative_to(self.path).as_posix() for file in made]

@@ -31,17 +31,21 @@ from qdgrasp_protocol.text import counted
 from qdgrasp_tools.export import grip
 from qdgrasp_tools.export.grasp_table import (
     COM,
+    CONTACTS_MEANING,
     LIFT_MEANING,
     MESH,
+    POSE_COLUMN,
+    POSE_MEANING,
     Frame,
     GraspColumn,
     GraspContacts,
-    GraspMetadata,
-    RunTable,
+    arrow_table,
     change_frame,
-    common_values,
+    common_columns,
     frame_of,
+    load_pandas,
     to_matrices,
+    xyz_columns,
 )
 
 if TYPE_CHECKING:  # scipy takes its time
@@ -51,7 +55,6 @@ if TYPE_CHECKING:  # scipy takes its time
 
 GraspIndices = NDArray[np.integer] | NDArray[np.bool_] | slice
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-SETTLED = "settled_"  # Prefix of columns of the settled pose
 OUTCOMES = np.array([outcome.name.lower() for outcome in Outcome])
 
 
@@ -315,6 +318,11 @@ class Grasps:
         return self.starts[:, 7].astype(np.int64)
 
     @property
+    def synergy_words(self) -> NDArray[np.str_]:
+        """(n,): name of the synergy that closes each hand; empty: all driven joints do."""
+        return np.array([*self.synergy_names, ""])[self.synergies]
+
+    @property
     def spreads(self) -> NDArray[np.float32]:
         """(n, k): initial positions of the free joints [rad]."""
         count = len(self.scene.gripper.free_joints)
@@ -339,6 +347,10 @@ class Grasps:
         """
         poses = settled_poses(self.rows)
         return change_frame(poses, self.scene.object.com_in_mesh, COM, frame_of(frame))
+
+    def recorded_poses(self, frame: Frame = MESH) -> Floats:
+        """(n, 7): the settled poses, NaN where none was recorded; `frame` as of `poses`."""
+        return np.where(self.is_settled[:, None], self.settled_poses(frame), np.nan)
 
     @cached_property
     def is_settled(self) -> NDArray[np.bool_]:
@@ -368,6 +380,11 @@ class Grasps:
         axis = np.array(self.scene.gripper.approach_axis)
         return rotate(turns, np.broadcast_to(axis, (len(self), 3)))
 
+    @property
+    def has_table(self) -> bool:
+        """True where hands were to come to grasps above a table."""
+        return self.approach is not None and bool(self.approach.poses)
+
     @cached_property
     def resting_poses(self) -> list[list[int]]:
         """Numbers of the resting poses in which each hand comes to it; needs `approach`."""
@@ -382,20 +399,18 @@ class Grasps:
             poses[:, :3] -= self.approach.distance * self.approach_directions
         return poses
 
-    @cached_property
-    def contacts(self) -> "GraspContacts":
-        """Contacts of the hand with the object after closing."""
-        values = contact_values(self.rows)
-        return GraspContacts(
-            np.asarray(self.rows["contact_links"]), values[..., :3], values[..., 3:6], values[..., 6]
-        )
-
-    def contacts_in(self, frame: Frame = MESH) -> "GraspContacts":
-        """The same contacts with points in a frame of the object, as of `poses`."""
-        links, points, normals, forces = self.contacts
+    def contacts_in(self, frame: Frame = MESH) -> GraspContacts:
+        """Contacts of the hand with the object after closing; `frame` as of `poses`."""
+        links, values = np.asarray(self.rows["contact_links"]), contact_values(self.rows)
+        points, normals, forces = values[..., :3], values[..., 3:6], values[..., 6]
         moved = change_frame(points.reshape(-1, 3), self.scene.object.com_in_mesh, COM, frame_of(frame))
         points = np.where(links[..., None] > 0, moved.reshape(points.shape), 0.0)
         return GraspContacts(links, points, normals, forces)
+
+    def contact_lists(self, frame: Frame = MESH) -> list[list[dict[str, Any]] | None]:
+        """Return each grasp's contacts by `CONTACT_FIELDS`; None where they were not recorded."""
+        found = self.contacts_in(frame).lists(self.scene.gripper.links)
+        return [each if known else None for each, known in zip(found, self.is_settled, strict=True)]
 
     @cached_property
     def margin(self) -> Floats:
@@ -412,40 +427,27 @@ class Grasps:
         The columns are those of `qdgrasp export --format parquet` (docs/formats.md), with poses in the
         object's `frame`. Raises InputError where pandas is not installed, UnknownName for another frame.
         """
-        from qdgrasp_tools.export.tabular import arrow_table, load_pandas  # pyarrow takes its time
-
         load_pandas()
-        return arrow_table(self.table(frame_of(frame))).to_pandas()
+        return arrow_table(self.all_columns(frame_of(frame))).to_pandas()
 
-    def table(self, frame: Frame = MESH, metadata: GraspMetadata | None = None) -> RunTable:
-        """Return the grasps as files have them, with poses in a frame of the object."""
-        settled = np.where(self.is_settled[:, None], self.settled_poses(frame), np.nan)
-        names = np.array([*self.synergy_names, ""])
-        has_table = self.approach is not None and bool(self.approach.poses)
-        return RunTable(
-            names=self.numbers.astype(str),
-            poses=self.poses(frame),
-            frame=frame,
-            joint_names=self.postures.names,
-            pregrasp=self.postures.pregrasp,
-            synergies=names[self.synergies],
-            confidence=self.confidence,
-            metadata=metadata,
-            scene=self.scene,
-            base_to_object=self.rows["base_to_object"],
-            settled=settled,
-            joints=self.postures.joints,
-            squeeze=self.postures.squeeze,
-            contacts=self.contacts_in(frame),
-            columns={column.name: column for column in self._columns(frame, settled)},
-            approach=None if self.approach is None else self.approach_poses(frame),
-            resting_poses=self.resting_poses if has_table else None,
-            same=common_values(self.spec),
+    def all_columns(self, frame: Frame = MESH) -> dict[str, GraspColumn]:
+        """Return what grasps have in common, what was simulated, every value, and contacts."""
+        contacts = np.empty(len(self), dtype=object)
+        contacts[:] = self.contact_lists(frame)
+        every = (
+            *common_columns(self.spec, len(self)),
+            GraspColumn(POSE_COLUMN, self.rows["base_to_object"], POSE_MEANING),
+            *self._columns(frame),
+            GraspColumn("contact_points", contacts, CONTACTS_MEANING),
         )
+        return {column.name: column for column in every}
 
-    def _columns(self, frame: Frame, settled: Floats) -> Iterator[GraspColumn]:
-        """Yield every value as a column; `settled` (n, 7) are the settled poses, NaN where unknown."""
-        rows, poses = self.rows, self.poses(frame)
+    def columns(self, frame: Frame = MESH) -> dict[str, NDArray[Any]]:
+        """Return every value of the grasps (n,) by the name of its column."""
+        return {column.name: column.values for column in self._columns(frame)}
+
+    def _columns(self, frame: Frame) -> Iterator[GraspColumn]:
+        rows, poses, settled = self.rows, self.poses(frame), self.recorded_poses(frame)
         yield GraspColumn("number", self.numbers, "the row's number in the journal, from 0")
         yield GraspColumn("run", np.full(len(self), self.run), "name of the run that found it")
         yield GraspColumn("generation", rows["generation"], "of the search")
@@ -462,39 +464,37 @@ class Grasps:
         yield GraspColumn("trials", self.trials, "disturbed trials that eta is of")
         yield GraspColumn("eta_hard", self.eta_hard, "survival of harder trials, for grasps of equal eta")
         yield GraspColumn("confidence", self.confidence, "0 to 1, higher is better")
-        for begin, kind, of in (("", "commanded", poses), (SETTLED, "settled", settled)):
+        for begin, kind, of in (("", "commanded", poses), ("settled_", "settled", settled)):
             for name, values in zip(POSE, of.T, strict=True):
                 length = f"hand's root link in the object's frame, {kind} pose [m]"
                 yield GraspColumn(begin + name, values, length if len(name) == 1 else "its quaternion")
         yield from self.postures.columns()
         yield GraspColumn("width", grip.jaw_widths(self.scene.gripper, self.joints), grip.WIDTH_MEANING)
-        yield GraspColumn("grip_force", grip.grip_forces(self.contacts), grip.FORCE_MEANING)
+        yield GraspColumn("grip_force", grip.grip_forces(self.contacts_in(frame)), grip.FORCE_MEANING)
         yield GraspColumn("reseated", self.reseated.astype(np.uint8), "1: closed from where it had settled")
         way, angle = self.motion.T
         yield GraspColumn("motion_mm", 1e3 * way, "way of the object in the hand while it closed [mm]")
         yield GraspColumn("motion_deg", np.degrees(angle), "its turn meanwhile [deg]")
-        synergies = np.array([*self.synergy_names, ""])[self.synergies]
-        yield GraspColumn("synergy", synergies, "synergy that closes the hand; none: all driven joints")
+        words = "synergy that closes the hand; none: all driven joints"
+        yield GraspColumn("synergy", self.synergy_words, words)
         aims = rows["surface_point"].astype(np.float64)
-        offset = np.zeros(3) if frame == COM else np.array(self.scene.object.com_in_mesh)
-        aims = np.where(aims.any(axis=1, keepdims=True), aims + offset, np.nan)
-        for name, values in zip("xyz", aims.T, strict=True):
-            yield GraspColumn(f"aim_{name}", values, "surface point that was aimed at, object's frame [m]")
+        aims[~aims.any(axis=1)] = np.nan
+        aims = change_frame(aims, self.scene.object.com_in_mesh, COM, frame)
+        yield from xyz_columns("aim_", aims, "surface point that was aimed at, object's frame [m]")
         yield GraspColumn("nu", rows["nu"], "angle of its normal to the direction to the hand [rad]")
         yield GraspColumn("contacts", rows["contacts"], "finger links that touch after closing")
         yield GraspColumn("penetration", rows["penetration"], "deepest after closing [m]")
         yield GraspColumn("margin", self.margin, "Ferrari-Canny margin of the contacts; none: not known")
         if self.approach is not None:
-            yield from self._approach_columns(frame, has_table=bool(self.approach.poses))
+            yield from self._approach_columns(frame)
 
-    def _approach_columns(self, frame: Frame, *, has_table: bool) -> Iterator[GraspColumn]:
+    def _approach_columns(self, frame: Frame) -> Iterator[GraspColumn]:
         """Yield how hands come to the commanded poses."""
-        for name, values in zip("xyz", self.approach_directions.T, strict=True):
-            yield GraspColumn(f"approach_{name}", values, "direction in which the hand comes, object's frame")
-        for name, values in zip("xyz", self.approach_poses(frame).T[:3], strict=True):
-            yield GraspColumn(f"approach_from_{name}", values, "where it comes from, object's frame [m]")
+        origins = self.approach_poses(frame)[:, :3]
+        yield from xyz_columns("approach_", self.approach_directions, "its direction, object's frame")
+        yield from xyz_columns("approach_from_", origins, "where it comes from, object's frame [m]")
         yield GraspColumn("approach_clear", self.reach.is_clear.astype(np.uint8), "1: nothing is on its way")
-        if has_table:
+        if self.has_table:
             words = np.array([" ".join(map(str, numbers)) for numbers in self.resting_poses], dtype=str)
             yield GraspColumn("resting_poses", words, "resting poses in which it comes above the table")
             yield GraspColumn("resting_probability", self.reach.probability, "probability of these")

@@ -1,6 +1,8 @@
 """The table of grasps that each format is written from and read into; its metadata."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -12,12 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats, from_frame, multiply, rotate, tangents
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
-from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
+from qdgrasp_assets.scene import SceneGripper, SceneObject
 from qdgrasp_coordinator.search.fixed_poses import FARTHEST
 from qdgrasp_protocol.errors import InputError, UnknownName
-from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_protocol.spec import DEFAULT_ENGINE, ObjectRecord, RunSpec, from_toml
-from qdgrasp_protocol.text import join_numbers
 
 Frame = Literal["mesh", "com"]
 MESH: Frame = "mesh"
@@ -220,6 +220,18 @@ def asset_name(name: str) -> str:
     return Path(name).stem if Path(name).suffix else name
 
 
+SAME_MEANINGS = {
+    "object": "the object",
+    "gripper": "the hand",
+    "category": "of the object; none: not known",
+    "method": "the search",
+    "seed": "of the search",
+    "protocol": "the evaluation protocol",
+    "engine": "the physics engine",
+}
+"""Columns that have one value for all grasps of a run."""
+
+
 def common_values(spec: RunSpec) -> dict[str, str | int]:
     """Return what all grasps of a run have in common, by the names of columns."""
     about = spec.about or ObjectRecord()
@@ -246,14 +258,38 @@ class GraspContacts(NamedTuple):
     forces: Floats
     """(n, k) [N], along the normal."""
 
+    def lists(self, link_names: Sequence[str]) -> list[list[dict[str, Any]]]:
+        """Return the contacts of each grasp by `CONTACT_FIELDS`."""
+        names = ("", *link_names)
+        return [
+            [
+                dict(zip(CONTACT_FIELDS, (names[link], *point, *normal, force), strict=True))
+                for link, point, normal, force in zip(*contacts, strict=True)
+                if link
+            ]
+            for contacts in zip(*(each.tolist() for each in self), strict=True)
+        ]
+
 
 class GraspColumn(NamedTuple):
     """One column of values with a line for each grasp."""
 
     name: str
-    values: NDArray[np.generic]
-    """(n,): numbers, NaN where one is missing, or words, empty where one is missing."""
+    values: NDArray[Any]
+    """(n,): numbers, NaN where one is missing, or words, empty where one is missing; see `arrow_table`."""
     meaning: str
+
+
+def xyz_columns(begin: str, vectors: Floats, meaning: str) -> Iterator[GraspColumn]:
+    """Yield the components of vectors (n, 3) as columns whose names begin alike."""
+    for name, values in zip("xyz", vectors.T, strict=True):
+        yield GraspColumn(f"{begin}{name}", values, meaning)
+
+
+def common_columns(spec: RunSpec, n: int) -> Iterator[GraspColumn]:
+    """Yield what all of n grasps of a run have in common as columns."""
+    for name, value in common_values(spec).items():
+        yield GraspColumn(name, np.full(n, value), SAME_MEANINGS[name])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -304,88 +340,43 @@ class GraspTable:
         )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RunTable(GraspTable):
-    """Grasps of a run, with all that was recorded of them; what every writer is given."""
+PREGRASP = "pregrasp."  # Prefix of columns of joints before closing; the joint's name follows
+POSE_COLUMN = "base_to_object"
+CONTACTS_MEANING = "contacts after closing: the hand's link, point on the object [m], normal, force [N]"
+POSE_MEANING = "the pose as simulated: x y z [m] qx qy qz qw, centre-of-mass frame"
 
-    frame: Frame
-    pregrasp: NDArray[np.floating]
-    synergies: NDArray[np.str_]
-    confidence: Floats
-    scene: Scene
-    base_to_object: NDArray[np.float32]
-    """(n, 7): the commanded poses as they were simulated, in the centre-of-mass frame."""
-    settled: Floats
-    """(n, 7): the pose of the root link after closing; NaN where it was not recorded."""
-    joints: NDArray[np.floating]
-    """(n, j): all joints after closing [rad or m]."""
-    squeeze: NDArray[np.floating]
-    """(n, j): targets with which the drives press as in the simulation [rad or m] (`squeeze_targets`)."""
-    contacts: GraspContacts
-    """Contacts after closing, points in `frame`."""
-    columns: dict[str, GraspColumn]
-    """Every value of a grasp as columns, by name."""
-    same: dict[str, str | int]
-    """Values that all grasps of the run have: object, gripper, method and others, by name."""
-    approach: Floats | None = None
-    """(n, 7): the poses from which open hands come to the commanded ones; None: not asked for."""
-    resting_poses: list[list[int]] | None = None
-    """Numbers of the resting poses in which each hand comes to it; None: there is no table."""
 
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        """Return the values (n,) of a column."""
-        return self.columns[name].values
+def load_pandas() -> Any:
+    """Return the package pandas; InputError with how to get it where it is not installed."""
+    try:
+        return import_module("pandas")
+    except ImportError:
+        raise InputError(
+            "to_pandas() needs pandas, which is not installed: `pip install pandas` brings it."
+        ) from None
 
-    @property
-    def is_settled(self) -> NDArray[np.bool_]:
-        """(n,): True where the settled pose was recorded."""
-        return np.asarray(~np.isnan(self.settled[:, 0]))
 
-    @property
-    def grasp_poses(self) -> Floats:
-        """(n, 7): the settled poses, the commanded ones where none was recorded."""
-        return np.where(self.is_settled[:, None], self.settled, self.poses)
+def arrow_table(columns: dict[str, GraspColumn], metadata: dict[str, str] | None = None) -> Any:
+    """Return columns as a table of Arrow, with this metadata in its schema; NaN and "" are null."""
+    import pyarrow as pa
 
-    @property
-    def is_grasp(self) -> NDArray[np.bool_]:
-        """(n,): True if at least one disturbance was survived."""
-        return np.isin(self["outcome"], ("shaken", "held"))
+    contact = pa.struct([(name, pa.float32() if name != "link" else pa.string()) for name in CONTACT_FIELDS])
 
-    @property
-    def synergy_labels(self) -> NDArray[np.int64]:
-        """(n,): places of the synergies in the hand's; `NO_SYNERGY` for none."""
-        labels = {synergy.name: label for label, synergy in enumerate(self.scene.gripper.synergies)}
-        return np.array([labels.get(name, NO_SYNERGY) for name in self.synergies.tolist()], dtype=np.int64)
+    def array(values: NDArray[np.generic]) -> Any:
+        if values.dtype.kind == "O":
+            return pa.array(values.tolist(), pa.list_(contact))
+        if values.dtype.kind == "U":
+            return pa.array(values.tolist(), pa.string(), mask=values == "")
+        if values.ndim > 1:
+            return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+        return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
 
-    def jaw_matrices(self, poses: Floats) -> Floats:
-        """(n, 4, 4): poses (n, 7) of the root link as those of the turned axes; NaN stays."""
-        known = ~np.isnan(poses[:, 0])
-        matrices = np.full((len(poses), 4, 4), np.nan)
-        matrices[known] = to_matrices(turn_hand_axes(poses[known], jaw_turn(self.scene.gripper)))
-        return matrices
-
-    @property
-    def jaw_metadata(self) -> GraspMetadata:
-        """The metadata, with a description of the turned axes."""
-        hand = self.scene.gripper
-        across = (
-            f"x from one finger to the other, along ({join_numbers(hand.jaw.axis)}) of it"
-            if hand.jaw
-            else "x at right angles to it, for the hand has no jaw"
-        )
-        turn = ", ".join(f"{value:.9g}" for value in jaw_turn(hand) + 0.0)
-        words = (
-            f"origin of link '{hand.base_link}'; +z approaches, along ({join_numbers(hand.approach_axis)}) "
-            f"of the link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
-        )
-        return msgspec.structs.replace(self.about, gripper_axes=words, quaternions=MATRIX_WORDS)
-
-    @property
-    def about(self) -> GraspMetadata:
-        """The metadata; a table that is written to a file has it."""
-        if self.metadata is None:
-            raise ValueError("a table without metadata is in no file")
-        return self.metadata
+    arrays = {name: array(column.values) for name, column in columns.items()}
+    fields = [
+        pa.field(name, arrays[name].type, metadata={"meaning": column.meaning})
+        for name, column in columns.items()
+    ]
+    return pa.table(list(arrays.values()), schema=pa.schema(fields, metadata=metadata))
 
 
 def exact_decimals(values: NDArray[np.floating]) -> Floats:

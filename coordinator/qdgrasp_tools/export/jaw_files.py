@@ -31,16 +31,20 @@ import numpy as np
 
 from qdgrasp_assets.geometry.mesh import parts_to_obj
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.scene import SceneObject
+from qdgrasp_assets.scene import SceneGripper, SceneObject
+from qdgrasp_protocol.text import join_numbers
+from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import (
-    CONTACT_FIELDS,
+    MATRIX_WORDS,
     Frame,
     GraspMetadata,
     GraspTable,
-    RunTable,
     check_matrices,
     from_matrices,
+    jaw_turn,
     object_mesh,
+    to_matrices,
+    turn_hand_axes,
 )
 from qdgrasp_tools.export.tabular import add_member
 
@@ -63,13 +67,36 @@ def mesh_file(body: SceneObject, frame: Frame) -> bytes:
     return parts_to_obj([object_mesh(body, frame)])
 
 
-def write_acronym(path: Path, table: RunTable) -> None:
+def jaw_matrices(hand: SceneGripper, poses: Floats) -> Floats:
+    """Return poses (n, 7) of a root link as matrices (n, 4, 4) of the turned axes; NaN stays."""
+    known = ~np.isnan(poses[:, 0])
+    matrices = np.full((len(poses), 4, 4), np.nan)
+    matrices[known] = to_matrices(turn_hand_axes(poses[known], jaw_turn(hand)))
+    return matrices
+
+
+def jaw_metadata(hand: SceneGripper, about: GraspMetadata) -> GraspMetadata:
+    """Return metadata with a description of the turned axes."""
+    across = (
+        f"x from one finger to the other, along ({join_numbers(hand.jaw.axis)}) of it"
+        if hand.jaw
+        else "x at right angles to it, for the hand has no jaw"
+    )
+    turn = ", ".join(f"{value:.9g}" for value in jaw_turn(hand) + 0.0)
+    words = (
+        f"origin of link '{hand.base_link}'; +z approaches, along ({join_numbers(hand.approach_axis)}) "
+        f"of the link; {across}: link axes turned by the quaternion (x, y, z, w) = ({turn})"
+    )
+    return msgspec.structs.replace(about, gripper_axes=words, quaternions=MATRIX_WORDS)
+
+
+def write_acronym(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     """Write grasps as an ACRONYM file."""
     import h5py
 
-    about = table.jaw_metadata
+    about = jaw_metadata(grasps.scene.gripper, about)
     with h5py.File(path, "w") as file:
-        for name, value in _datasets(table).items():
+        for name, value in _datasets(grasps, about).items():
             file[name] = value
         file["object/file"] = mesh_beside(path).name
         file[ABOUT] = about.json
@@ -78,9 +105,10 @@ def write_acronym(path: Path, table: RunTable) -> None:
                 file["qdgrasp"].attrs[name] = json.dumps(value) if isinstance(value, dict) else value
 
 
-def _datasets(table: RunTable) -> dict[str, Any]:
-    contacts, about = table.contacts, table.about
-    hand, body = table.scene.gripper, object_mesh(table.scene.object, table.frame)
+def _datasets(grasps: Grasps, about: GraspMetadata) -> dict[str, Any]:
+    contacts, columns = grasps.contacts_in(about.frame), grasps.columns(about.frame)
+    hand, body = grasps.scene.gripper, object_mesh(grasps.scene.object, about.frame)
+    postures = grasps.postures
     found = {
         "object/scale": 1.0,
         "object/mass": about.object_mass,
@@ -89,42 +117,42 @@ def _datasets(table: RunTable) -> dict[str, Any]:
         "object/volume": body.volume,
         "object/com": np.array(about.object_com),
         "object/inertia": about.object_mass * body.inertia,
-        TRANSFORMS: table.jaw_matrices(table.poses),
-        "grasps/settled_transforms": table.jaw_matrices(table.settled),
-        SUCCESSES: table.is_grasp.astype(np.int8),
-        f"{MOTION}_linear": table["motion_mm"] * 1e-3,
-        f"{MOTION}_angular": np.radians(table["motion_deg"]),
-        CONFIDENCE: table.confidence,
-        "grasps/joint_positions": table.joints,
-        STARTS: table.pregrasp,
-        "grasps/squeeze_joint_positions": table.squeeze,
-        SYNERGY: table.synergy_labels,
-        NUMBERS: table["number"],
-        **{f"qdgrasp/{name}": table[name] for name in OWN_COLUMNS},
-        "qdgrasp/outcome": table["outcome"].tolist(),
+        TRANSFORMS: jaw_matrices(hand, grasps.poses(about.frame)),
+        "grasps/settled_transforms": jaw_matrices(hand, grasps.recorded_poses(about.frame)),
+        SUCCESSES: grasps.is_grasp.astype(np.int8),
+        f"{MOTION}_linear": columns["motion_mm"] * 1e-3,
+        f"{MOTION}_angular": np.radians(columns["motion_deg"]),
+        CONFIDENCE: grasps.confidence,
+        "grasps/joint_positions": postures.joints,
+        STARTS: postures.pregrasp,
+        "grasps/squeeze_joint_positions": postures.squeeze,
+        SYNERGY: grasps.synergies,
+        NUMBERS: columns["number"],
+        **{f"qdgrasp/{name}": columns[name] for name in OWN_COLUMNS},
+        "qdgrasp/outcome": columns["outcome"].tolist(),
         "qdgrasp/contact_links": contacts.links.astype(np.int16) - 1,
         "qdgrasp/contact_points": contacts.points.astype(np.float32),
         "qdgrasp/contact_normals": contacts.normals.astype(np.float32),
         "qdgrasp/contact_forces": contacts.forces.astype(np.float32),
         "gripper/type": hand.name,
         "gripper/link_names": list(hand.links) or np.zeros(0, "S1"),
-        JOINTS: list(table.joint_names),
+        JOINTS: list(postures.names),
         SYNERGIES: [synergy.name for synergy in hand.synergies] or np.zeros(0, "S1"),
     }
     if hand.jaw:
         found["gripper/configuration"] = np.array([hand.jaw.opening / 2])
-        found["grasps/contact_points"] = contact_pairs(table)
-    if table.approach is not None:
-        found["grasps/approach_transforms"] = table.jaw_matrices(table.approach)
-        found["grasps/approach_directions"] = np.column_stack([table[f"approach_{axis}"] for axis in "xyz"])
-        found["grasps/approach_clear"] = table["approach_clear"].astype(np.int8)
-    if table.resting_poses is not None:
+        found["grasps/contact_points"] = contact_pairs(grasps, about.frame)
+    if grasps.approach is not None:
+        found["grasps/approach_transforms"] = jaw_matrices(hand, grasps.approach_poses(about.frame))
+        found["grasps/approach_directions"] = np.column_stack([columns[f"approach_{axis}"] for axis in "xyz"])
+        found["grasps/approach_clear"] = columns["approach_clear"].astype(np.int8)
+    if grasps.has_table:
         numbers = [pose.number for pose in about.resting_poses or ()]
         found["grasps/resting_poses"] = np.array(
-            [[n in each for n in numbers] for each in table.resting_poses]
+            [[n in each for n in numbers] for each in grasps.resting_poses]
         )
         found["qdgrasp/resting_pose_numbers"] = np.array(numbers, dtype=np.int64)
-        found["qdgrasp/resting_probability"] = table["resting_probability"]
+        found["qdgrasp/resting_probability"] = columns["resting_probability"]
     return found
 
 
@@ -166,30 +194,30 @@ BASE_OFFSET = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """Offset of GraspGen's axes from those of the transforms, xyz [m] and xyzw: zero."""
 
 
-def write_graspgen(path: Path, table: RunTable) -> None:
+def write_graspgen(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     """Write grasps and failures as a GraspGen folder."""
     path.mkdir(parents=True)
-    write_graspgen_object(path, table.about.object, table)
-    write_graspgen_index(path, {table.about.object: ("train", "valid")})
+    write_graspgen_object(path, about.object, grasps, about)
+    write_graspgen_index(path, {about.object: ("train", "valid")})
 
 
-def write_graspgen_object(path: Path, name: str, table: RunTable) -> None:
+def write_graspgen_object(path: Path, name: str, grasps: Grasps, about: GraspMetadata) -> None:
     """Write the JSON and the mesh of one object into a folder."""
-    grasps, ours = _lists(table)
+    lists, ours = _lists(grasps, about)
     beside = {
         "transform_offset_from_asset_to_graspgen_convention": BASE_OFFSET,
-        "joint_names": table.joint_names,
+        "joint_names": grasps.postures.names,
         "grasps": ours,
     }
     whole = {
         "object": {"file": f"{name}.obj", "scale": 1.0},
-        "grasps": grasps,
-        "qdgrasp": table.jaw_metadata.values | beside,
+        "grasps": lists,
+        "qdgrasp": jaw_metadata(grasps.scene.gripper, about).values | beside,
     }
     for folder in (DATA, OBJECTS):
         (path / folder).mkdir(exist_ok=True)
     (path / DATA / f"{name}.json").write_bytes(msgspec.json.encode(whole))
-    (path / OBJECTS / f"{name}.obj").write_bytes(mesh_file(table.scene.object, table.frame))
+    (path / OBJECTS / f"{name}.obj").write_bytes(mesh_file(grasps.scene.object, about.frame))
 
 
 def write_graspgen_index(path: Path, objects: Mapping[str, Iterable[str]]) -> None:
@@ -216,40 +244,44 @@ def _uuid(name: str) -> str:
     return name.replace(".", "%2E")
 
 
-def _lists(table: RunTable) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+def _lists(grasps: Grasps, about: GraspMetadata) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Return the format's lists and ours, with an item for each grasp."""
+    hand, postures = grasps.scene.gripper, grasps.postures
+    columns = grasps.columns(about.frame)
+    settled = jaw_matrices(hand, grasps.recorded_poses(about.frame)).tolist()
     ours: dict[str, list[Any]] = {
-        **{name: table[name].tolist() for name in ("number", *OWN_COLUMNS)},
-        "joint_positions": table.joints.tolist(),
-        "pregrasp_joint_positions": table.pregrasp.tolist(),
-        "squeeze_joint_positions": table.squeeze.tolist(),
-        "synergy": table.synergies.tolist(),
-        "settled_transforms": _where_settled(table, table.jaw_matrices(table.settled).tolist()),
-        "contacts": _where_settled(table, _contacts(table)),
+        **{name: columns[name].tolist() for name in ("number", *OWN_COLUMNS)},
+        "joint_positions": postures.joints.tolist(),
+        "pregrasp_joint_positions": postures.pregrasp.tolist(),
+        "squeeze_joint_positions": postures.squeeze.tolist(),
+        "synergy": grasps.synergy_words.tolist(),
+        "settled_transforms": [
+            pose if known else None for pose, known in zip(settled, grasps.is_settled, strict=True)
+        ],
+        "contacts": grasps.contact_lists(about.frame),
     }
-    if table.approach is not None:
-        ours["approach_transforms"] = table.jaw_matrices(table.approach).tolist()
-        ours["approach_clear"] = (table["approach_clear"] == 1).tolist()
-    if table.resting_poses is not None:
-        ours["resting_poses"] = table.resting_poses
-        ours["resting_probability"] = table["resting_probability"].tolist()
-    poses = table.jaw_matrices(table.poses).tolist()
-    grasps = {"transforms": poses, "object_in_gripper": table.is_grasp.tolist()}
-    if table.scene.gripper.jaw and table.scene.contact_slots:
-        pairs = json.dumps(contact_pairs(table).tolist())  # with NaN, as its reader knows what is missing
-        grasps["contact_locations"] = msgspec.Raw(pairs.encode())
-    return grasps, ours
+    if grasps.approach is not None:
+        ours["approach_transforms"] = jaw_matrices(hand, grasps.approach_poses(about.frame)).tolist()
+        ours["approach_clear"] = (columns["approach_clear"] == 1).tolist()
+    if grasps.has_table:
+        ours["resting_poses"] = grasps.resting_poses
+        ours["resting_probability"] = columns["resting_probability"].tolist()
+    poses = jaw_matrices(hand, grasps.poses(about.frame)).tolist()
+    lists = {"transforms": poses, "object_in_gripper": grasps.is_grasp.tolist()}
+    if hand.jaw and grasps.scene.contact_slots:
+        pairs = contact_pairs(grasps, about.frame).tolist()
+        lists["contact_locations"] = msgspec.Raw(json.dumps(pairs).encode())  # NaN: its reader knows it
+    return lists, ours
 
 
-def contact_pairs(table: RunTable) -> Floats:
+def contact_pairs(grasps: Grasps, frame: Frame) -> Floats:
     """Return the strongest contacts (n, 2, 3) of both fingers of a jaw [m].
 
     First is that at -x of the jaw's axes. NaN: a finger has none.
     """
-    links, points, normals, forces = table.contacts
-    across = table.jaw_matrices(table.settled)[:, None, :3, 0]
-    fingers = [place for place, name in enumerate(table.scene.gripper.links, 1)
-               if name in table.scene.gripper.finger_links]  # fmt: skip
+    hand, (links, points, normals, forces) = grasps.scene.gripper, grasps.contacts_in(frame)
+    across = jaw_matrices(hand, grasps.recorded_poses(frame))[:, None, :3, 0]
+    fingers = [place for place, name in enumerate(hand.links, 1) if name in hand.finger_links]
     sides = np.where(np.isin(links, fingers), (normals * across).sum(axis=2), 0.0)
     pairs = np.full((len(links), 2, 3), np.nan)
     for finger, sense in enumerate((1.0, -1.0)):
@@ -257,24 +289,6 @@ def contact_pairs(table: RunTable) -> Floats:
         for grasp in np.flatnonzero((pressing >= 0.0).any(axis=1)):
             pairs[grasp, finger] = points[grasp, pressing[grasp].argmax()]
     return pairs
-
-
-def _where_settled(table: RunTable, values: list[Any]) -> list[Any]:
-    """Return values in the order of the grasps, None where nothing was recorded after closing."""
-    return [value if known else None for value, known in zip(values, table.is_settled, strict=True)]
-
-
-def _contacts(table: RunTable) -> list[list[dict[str, Any]]]:
-    """Return the contacts of each grasp."""
-    names = ("", *table.scene.gripper.links)
-    return [
-        [
-            dict(zip(CONTACT_FIELDS, (names[link], *point, *normal, force), strict=True))
-            for link, point, normal, force in zip(*(each.tolist() for each in slots), strict=True)
-            if link
-        ]
-        for slots in zip(*table.contacts, strict=True)
-    ]
 
 
 def read_json(path: Path) -> GraspTable:

@@ -30,10 +30,11 @@ from qdgrasp_assets.grippers.urdf import scene_robot
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_protocol.drives import JAW_PRELOAD
 from qdgrasp_protocol.rows import DISTURBANCES, NO_SYNERGY, nominal_protocol
+from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import (
+    Frame,
     GraspMetadata,
     GraspTable,
-    RunTable,
     UnreadableGrasps,
     exact_decimals,
 )
@@ -71,55 +72,59 @@ def _optional(values: NDArray[np.floating]) -> list[float | None]:
     return [None if value != value else value for value in _numbers(values)]
 
 
-def _extra_lists(table: RunTable) -> dict[str, Any]:
+def _extra_lists(grasps: Grasps, frame: Frame) -> dict[str, Any]:
     """Return values without a place in the format, lists in the order of the grasps."""
     names = ("fitness", "eta", "margin", "penetration", "width", "grip_force")
-    lists: dict[str, Any] = {name: _optional(table[name]) for name in names}
+    columns = grasps.columns(frame)
+    lists: dict[str, Any] = {name: _optional(columns[name]) for name in names}
     lists = {name: values for name, values in lists.items() if any(each is not None for each in values)}
-    if (table.synergy_labels != NO_SYNERGY).any():
-        lists["synergy"] = table.synergies.tolist()
-    if table.approach is not None:
-        directions = [table[f"approach_{axis}"] for axis in "xyz"]
-        lists["approach_directions"] = _numbers(np.column_stack(directions) + 0.0)
-        lists["approach_positions"] = _numbers(table.approach[:, :3] + 0.0)
-    if table.resting_poses is not None:
-        lists["resting_poses"] = table.resting_poses
-        lists["resting_probability"] = _numbers(table["resting_probability"])
+    if (grasps.synergies != NO_SYNERGY).any():
+        lists["synergy"] = grasps.synergy_words.tolist()
+    if grasps.approach is not None:
+        lists["approach_directions"] = _numbers(grasps.approach_directions + 0.0)
+        lists["approach_positions"] = _numbers(grasps.approach_poses(frame)[:, :3] + 0.0)
+    if grasps.has_table:
+        lists["resting_poses"] = grasps.resting_poses
+        lists["resting_probability"] = _numbers(columns["resting_probability"])
     return lists
 
 
-def write_isaac(path: Path, table: RunTable) -> None:
+def write_isaac(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     """Write grasps as Isaac Grasp YAML."""
-    about = msgspec.structs.replace(table.about, quaternions=WXYZ)
+    about, postures = msgspec.structs.replace(about, quaternions=WXYZ), grasps.postures
     names = {"object_frame": about.object, "gripper_frame": about.gripper_frame}
-    kinds = ("", table.grasp_poses, table.joints), ("pregrasp_", table.poses, table.pregrasp)
+    kinds = (
+        ("", grasps.settled_poses(about.frame), postures.joints),
+        ("pregrasp_", grasps.poses(about.frame), postures.pregrasp),
+    )
     numbers = [(kind, _numbers(poses), _numbers(joints)) for kind, poses, joints in kinds]
-    targets = [dict(zip(table.joint_names, each, strict=True)) for each in _numbers(table.squeeze)]
-    grasps = {}
-    for place, (name, confidence) in enumerate(zip(table.names, _numbers(table.confidence), strict=True)):
-        grasp = grasps[f"grasp_{name}"] = {"confidence": confidence}
+    targets = [dict(zip(postures.names, each, strict=True)) for each in _numbers(postures.squeeze)]
+    items = {}
+    for place, (name, confidence) in enumerate(zip(grasps.numbers, _numbers(grasps.confidence), strict=True)):
+        grasp = items[f"grasp_{name}"] = {"confidence": confidence}
         for kind, poses, joints in numbers:
             x, y, z, qx, qy, qz, qw = poses[place]
             grasp |= {
                 f"{kind}position": [x, y, z],
                 f"{kind}orientation": {"w": qw, "xyz": [qx, qy, qz]},
-                f"{kind}cspace_position": dict(zip(table.joint_names, joints[place], strict=True)),
+                f"{kind}cspace_position": dict(zip(postures.names, joints[place], strict=True)),
             }
         grasp["squeeze_cspace_position"] = targets[place]
     head = {"format": FORMAT, "format_version": VERSION}
     head |= {f"{key}_link": name for key, name in names.items()} | names
     head |= {"object_file": about.object_file or f"{about.object}.obj", "object_scale": about.object_scale}
     head["gripper_file"] = f"{about.gripper}.urdf"
-    values = head | {"qdgrasp": about.values | {"grasps": _extra_lists(table)}, "grasps": grasps}
+    ours = about.values | {"grasps": _extra_lists(grasps, about.frame)}
+    values = head | {"qdgrasp": ours, "grasps": items}
     path.write_text(to_yaml(values), encoding="utf-8")
 
 
-def write_moveit(path: Path, table: RunTable) -> None:
+def write_moveit(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     """Write grasps as a YAML list of MoveIt's messages."""
-    about, hand, following = table.about, table.scene.gripper, following_joints(table.scene.gripper)
-    places = [place for place, name in enumerate(table.joint_names) if name not in following]
-    names = [table.joint_names[place] for place in places]
-    drives = grip_efforts(table.scene)
+    hand, postures, following = grasps.scene.gripper, grasps.postures, following_joints(grasps.scene.gripper)
+    places = [place for place, name in enumerate(postures.names) if name not in following]
+    names = [postures.names[place] for place in places]
+    drives = grip_efforts(grasps.scene)
     effort = [drives.get(name, 0.0) for name in names]
     way = about.approach_distance or hand.reach
     moves = {
@@ -134,8 +139,8 @@ def write_moveit(path: Path, table: RunTable) -> None:
             ("post_place_retreat", -np.array(hand.approach_axis) + 0.0),
         )
     }
-    postures = (table.pregrasp[:, places], table.joints[:, places])
-    columns = (table.names, table.poses, *postures, _numbers(table.confidence))
+    ends = (postures.pregrasp[:, places], postures.joints[:, places])
+    columns = (grasps.numbers, grasps.poses(about.frame), *ends, _numbers(grasps.confidence))
     messages = [
         {
             "id": f"grasp_{name}",
@@ -155,8 +160,9 @@ def write_moveit(path: Path, table: RunTable) -> None:
         }
         for name, pose, start, closed, quality in zip(*columns, strict=True)
     ]
-    lists = _extra_lists(table) | {"settled_poses": _numbers(table.grasp_poses)}
-    lists["squeeze_positions"] = _numbers(table.squeeze[:, places])
+    lists = _extra_lists(grasps, about.frame)
+    lists["settled_poses"] = _numbers(grasps.settled_poses(about.frame))
+    lists["squeeze_positions"] = _numbers(postures.squeeze[:, places])
     path.write_text(
         to_yaml({"qdgrasp": about.values | {"grasps": lists}, "grasps": messages}), encoding="utf-8"
     )

@@ -21,7 +21,7 @@ from qdgrasp_tools.export import exporter
 from qdgrasp_tools.export.exporter import FORMATS, export_grasps
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
-from qdgrasp_tools.export.grasp_table import GraspMetadata, RunTable
+from qdgrasp_tools.export.grasp_table import GraspMetadata
 
 ACROSS = Rotation.from_euler("z", -90, degrees=True)
 """The jaw's own axes open along y; turned by this first, they open along x, as NVIDIA's hands do."""
@@ -135,8 +135,8 @@ class TestFormat:
         assert not any(read.contacts or ())
 
     def test_what_fails_on_the_way_leaves_what_was_there(self, run, tmp_path, monkeypatch, name) -> None:
-        def half(path: Path, table: RunTable) -> None:
-            FORMATS[name].write(path, table)
+        def half(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
+            FORMATS[name].write(path, grasps, about)
             raise OSError(28, "No space left on device")
 
         for before in ({}, None):
