@@ -15,15 +15,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import parse_parts
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.geometry.voxels import (
-    VoxelGrid,
-    box_around,
-    convex_hulls,
-    rotation_matrices,
-    solid_voxels,
-    transform_points,
-)
-from qdgrasp_assets.grippers.hand_geometry import POINTS_AT_ONCE, STAGES, hand_geometry
+from qdgrasp_assets.geometry.voxels import VoxelGrid, box_around, convex_hulls, solid_voxels
 from qdgrasp_assets.grippers.reachability import HandApproach
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_protocol.rows import Outcome
@@ -58,34 +50,16 @@ class OverlapFilter:
     """
 
     def __init__(self, gripper: SceneGripper, solid: ObjectSolid, *, follows_free_joints: bool) -> None:
-        self._samples = hand_geometry(gripper).samples
+        self._hand = HandApproach(gripper, 0.0)
         self._inside = solid.inside
         self._follows = follows_free_joints and bool(gripper.free_joints)
-        self._opened = np.array([[joint.opened for joint in gripper.joints]], dtype=np.float32)
+        self._opened = np.array([joint.opened for joint in gripper.joints], dtype=np.float32)
 
     def __call__(self, grasps: DecodedGrasps, places: NDArray[np.intp]) -> NDArray[np.intp]:
         """Those of `places` in a batch of grasps at which the hand surely overlaps, ascending."""
-        rejected = []
-        for stage in STAGES:
-            hit = self._hits(grasps, places, stage)
-            rejected.append(places[hit])
-            places = places[~hit]
-        return np.sort(np.concatenate(rejected))
-
-    def _hits(self, grasps: DecodedGrasps, places: NDArray[np.intp], stage: slice) -> NDArray[np.bool_]:
-        """(p,): poses that have one of the points of a stage inside the object."""
-        step = max(1, POINTS_AT_ONCE // (stage.stop - stage.start))
-        starts = range(0, len(places), step)
-        parts = [self._look(grasps, places[i : i + step], stage) for i in starts]
-        return np.concatenate(parts) if parts else np.zeros(0, dtype=bool)
-
-    def _look(self, grasps: DecodedGrasps, places: NDArray[np.intp], stage: slice) -> NDArray[np.bool_]:
-        postures = grasps.joints[places] if self._follows else self._opened
-        points = self._samples.points(postures, stage)
-        x, y, z = transform_points(
-            points, rotation_matrices(grasps.quaternions[places]), grasps.positions[places]
-        )
-        return np.asarray(self._inside.at(x, y, z).any(axis=1))
+        positions, quaternions, joints = grasps.hands(places)
+        postures = joints if self._follows else np.broadcast_to(self._opened, joints.shape)
+        return places[self._hand.meets(self._inside, positions, quaternions, postures)]
 
 
 class TableFilter:
@@ -99,9 +73,7 @@ class TableFilter:
         """Those of `places` in a batch of grasps that are refused; none without a table."""
         if self._approach is None:
             return places[:0]
-        clear = self._approach.clear_of(
-            self._poses, grasps.positions[places], grasps.quaternions[places], grasps.joints[places]
-        )
+        clear = self._approach.clear_of(self._poses, *grasps.hands(places))
         return places[~clear.any(axis=1)]
 
 
