@@ -24,7 +24,8 @@ NEWER_FORMAT = (
     4  # For scenes that name an engine, or whose trials disturb `physical`; others keep their bytes
 )
 REACHED_FORMAT = 5  # Version for scenes with an approach or a table
-FORMATS = (FORMAT, NEWER_FORMAT, REACHED_FORMAT)
+SURROUNDED_FORMAT = 6  # Version for scenes with neighbours
+FORMATS = (FORMAT, NEWER_FORMAT, REACHED_FORMAT, SURROUNDED_FORMAT)
 
 
 class Joint(Struct, frozen=True, kw_only=True):
@@ -207,6 +208,8 @@ class Scene(Struct, frozen=True, kw_only=True):
     """Distance from which the open hand has to come along its approach axis, clear of the object [m]."""
     resting_poses: tuple[RestingPose, ...] = ()
     """Resting poses, in one of which the hand has to come above the table; none: there is no table."""
+    neighbours: bytes = b""
+    """Convex parts of the fixed bodies around the object, as one OBJ file, CoM frame; empty: none."""
 
     @property
     def surface_points(self) -> NDArray[np.float32]:
@@ -238,6 +241,10 @@ def pack_scene(scene: Scene) -> Bundle:
         values["format"] = REACHED_FORMAT
     else:
         del values["approach_distance"], values["resting_poses"]
+    if scene.neighbours:
+        values["format"] = SURROUNDED_FORMAT
+    else:
+        del values["neighbours"]
     payload = bytes(msgpack.packb(values, use_bin_type=True))
     return Bundle(payload, hashlib.sha256(payload).hexdigest())
 

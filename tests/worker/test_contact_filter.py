@@ -60,11 +60,6 @@ def test_the_cover_of_an_object_for_a_hand_is_fine_and_holds_the_whole_surface(t
 SCENES = [("panda", "mug", "paper"), ("barrett", "rubiks_cube", "released"), ("allegro", "mug", "paper")]
 
 
-def reach_of(scene, world):
-    follows = PROTOCOLS[scene.protocol].free_joints_first
-    return ContactFilter(scene.gripper, ObjectSolid(scene), world.closing, follows_free_joints=follows)
-
-
 def drawn_off(scene, n, seed):
     """Poses that look at the object from farther and farther away, until no hand reaches it."""
     random = np.random.default_rng(seed)
@@ -79,8 +74,9 @@ def drawn_off(scene, n, seed):
 
 def judged(scene, n, seed):
     """The filter's verdicts on poses, and their outcomes in Bullet without it: (n,) each."""
-    world = BulletShakenWorld(scene)
-    reach, episode = reach_of(scene, world), ShakenEpisode(world, PROTOCOLS[scene.protocol])
+    world, protocol = BulletShakenWorld(scene), PROTOCOLS[scene.protocol]
+    follows, episode = protocol.free_joints_first, ShakenEpisode(world, protocol)
+    reach = ContactFilter(scene.gripper, ObjectSolid(scene), world.closing, follows_free_joints=follows)
     poses = list(drawn_off(scene, n, seed))
     misses = np.array([reach.misses(pose) for pose in poses])
     outcomes = np.array(

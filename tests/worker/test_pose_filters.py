@@ -19,17 +19,12 @@ from qdgrasp_worker.pose_filters import ObjectSolid, OverlapFilter
 OVERLAPPING = [("panda", "mug", "paper"), ("barrett", "rubiks_cube", "paper"), ("allegro", "mug", "released")]
 
 
-def tools(scene, prior, n, seed):
-    """The grasps of n random genomes, the filter, and an episode in a world of its own."""
+def compare(scene, prior, n, seed):
+    """The random poses that Bullet rejects, and that the filter rejects: (n,) each."""
     protocol = PROTOCOLS[scene.protocol]
     grasps = decoded(scene, prior, draw(n, len(layout(scene, prior)), seed))
     overlap = OverlapFilter(scene.gripper, ObjectSolid(scene), follows_free_joints=protocol.free_joints_first)
-    return grasps, overlap, ShakenEpisode(BulletShakenWorld(scene), protocol)
-
-
-def compare(scene, prior, n, seed):
-    """The random poses that Bullet rejects, and that the filter rejects: (n,) each."""
-    grasps, overlap, episode = tools(scene, prior, n, seed)
+    episode = ShakenEpisode(BulletShakenWorld(scene), protocol)
     rejected = np.isin(np.arange(n), overlap(grasps, np.arange(n)))
     overlapping = np.array([episode.overlaps(TrialSetup(grasps[i])) for i in range(n)])
     episode.world.close()
@@ -77,27 +72,34 @@ def with_parts(scene: Scene, *parts: Mesh) -> Scene:
     return msgspec.structs.replace(scene, object=target)
 
 
-def bar(*centre: float) -> Mesh:
+def bar(height: float) -> Mesh:
     """A bar along x, as that of a handle."""
-    mesh = box((0.3, 0.01, 0.01))
-    return Mesh(mesh.vertices + np.array(centre), mesh.faces)
+    return box((0.3, 0.01, 0.01)).moved((0.0, 0.0, height))
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_hand_that_would_have_to_come_through_a_handle_is_refused(engine):
-    cube = box((0.05, 0.05, 0.05))
-    handle = with_parts(physical(engine, approach_distance=0.1), cube, bar(0.0, 0.0, 0.19))
-    apart = with_parts(physical(engine, approach_distance=0.1), cube, bar(0.0, 0.0, 0.5))
-    anywhere = with_parts(physical(engine), cube, bar(0.0, 0.0, 0.19))
+@pytest.mark.parametrize("is_neighbour", [True, False])
+def test_a_hand_that_would_have_to_come_through_a_bar_is_refused(engine, is_neighbour):
+    def with_bar(height: float, **more: float) -> Scene:
+        scene = physical(engine, **more)
+        if is_neighbour:
+            return msgspec.structs.replace(scene, neighbours=parts_to_obj([bar(height)]))
+        return with_parts(scene, box((0.05, 0.05, 0.05)), bar(height))
+
     for shortcuts in (True, False):
-        assert found(handle, ABOVE_IT, shortcuts=shortcuts) == [Outcome.OVERLAP]
-        assert found(apart, ABOVE_IT, shortcuts=shortcuts)[0] >= Outcome.DROPPED
-        assert found(anywhere, ABOVE_IT, shortcuts=shortcuts)[0] >= Outcome.DROPPED
+        met = found(with_bar(0.19, approach_distance=0.1), ABOVE_IT, shortcuts=shortcuts)
+        apart = found(with_bar(0.5, approach_distance=0.1), ABOVE_IT, shortcuts=shortcuts)
+        assert met == [Outcome.OVERLAP]
+        assert min(*apart, *found(with_bar(0.19), ABOVE_IT, shortcuts=shortcuts)) >= Outcome.DROPPED
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_what_is_blocked_changes_no_other_result_and_nothing_depends_on_order_or_shortcuts(engine):
+@pytest.mark.parametrize("neighbours", [(), (bar(0.15), box((0.05, 0.05, 0.1)).moved((0.15, 0.0, 0.0)))])
+def test_what_is_blocked_changes_no_other_result_and_nothing_depends_on_order_or_shortcuts(
+    engine, neighbours
+):
     scene, genomes = physical(engine, approach_distance=0.15, resting_pose=0), draw(60, seed=5, near=60)
+    scene = msgspec.structs.replace(scene, neighbours=parts_to_obj(neighbours) if neighbours else b"")
     rows = evaluated(scene, "approach", genomes, batch=16)
     plain = evaluated(scene, "approach", genomes, shortcuts=False)
     assert results(rows, "steps") == results(plain, "steps")

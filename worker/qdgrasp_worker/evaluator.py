@@ -121,9 +121,12 @@ class Evaluator(BatchEvaluator):
     def _contact_filter(self) -> ContactFilter | None:
         if not self._shortcuts:
             return None
+        solid = self._object
+        if self.scene.neighbours:  # a finger that they stop may touch what it would have missed
+            solid = ObjectSolid(self.scene, with_neighbours=True)
         return ContactFilter(
             self.scene.gripper,
-            self._object,
+            solid,
             lambda posture, synergy: self._worlds[0].closing(posture, synergy),
             follows_free_joints=self._protocol.free_joints_first,
             sight=self._worlds[0].sight,

@@ -13,6 +13,9 @@ The constants, and where they are from: `evaluation_protocols.Physics`, docs/pro
 
 In `lift` the object rests on a table, and the table moves: in the frame of a hand that is lifted it goes
 down, and the object bears its weight and the inertia of the lift (`LiftEpisode`).
+
+Neighbours are fixed bodies that hand and object meet, and whose contacts are none of a grasp. They go away
+before the pushes, which none of them is to withstand, and down with the table in a lift.
 """
 
 from abc import abstractmethod
@@ -177,6 +180,8 @@ RESTING_LOOKS = 2  # Looks in a row at which all must rest
 REST_SPEED, REST_SPIN = 2e-3, 0.04  # Speeds below which a released object rests [m/s, rad/s]
 Look = tuple[list[float], Vector, Quaternion]  # Places of joints, position and quaternion of the object
 TABLE_HALF = (0.5, 0.5, 0.05)  # Half sides of a table [m]
+OUT_OF_THE_WAY = 20.0  # Way by which neighbours go away before the pushes [m]
+NO_TABLE_UP = (0.0, 0.0, 1.0)  # The way up where there is no table, CoM frame
 
 
 def table_middle(pose: RestingPose, way: float) -> Vector:
@@ -213,8 +218,8 @@ class PhysicalWorld(GraspWorld):
         """Pull the object towards the table with `factor` times its weight, during the next step."""
 
     @abstractmethod
-    def lower_table(self, way: float) -> None:
-        """Put the table `way` [m] below the place where the object rests on it."""
+    def lower_surroundings(self, way: float) -> None:
+        """Put table and neighbours, where there are any, `way` [m] below their places at first."""
 
     @abstractmethod
     def is_on_table(self) -> bool:
@@ -284,6 +289,7 @@ class PhysicalEpisode(Episode[PhysicalWorld]):
     def _survived(self) -> int:
         """Push the object along the axes of the hand; return the number of pushes survived."""
         self.world.disturb()
+        self.world.lower_surroundings(OUT_OF_THE_WAY)
         start = self.world.object_pose()
         for survived, direction in enumerate(PUSHES):
             if not self._holds_against(direction, *start):
@@ -334,7 +340,7 @@ class LiftEpisode(PhysicalEpisode):
         for step in range(0, physics.steps(lift.seconds), world.steps_at_once):
             after = step + world.steps_at_once
             is_rising = step < physics.steps(lift.rise)
-            world.lower_table(lift.way(after * physics.time_step))
+            world.lower_surroundings(lift.way(after * physics.time_step))
             world.weigh(1.0 + (lift.acceleration / physics.weight if is_rising else 0.0))
             world.step()
             if after % physics.look_every == 0:

@@ -39,7 +39,7 @@ from qdgrasp_worker.engines import make_world
 from qdgrasp_worker.episode import EpisodeResult
 from qdgrasp_worker.evaluation_protocols import Shake, TrialSetup, scene_protocol
 from qdgrasp_worker.evaluator import fill_rows, make_episode, verdict_in_all
-from qdgrasp_worker.pose_filters import TableFilter
+from qdgrasp_worker.pose_filters import ApproachFilter
 from qdgrasp_worker.world import GraspWorld
 
 STEPS_PER_SECOND = 240  # Time is counted in steps of 1/240 s, in any engine
@@ -152,7 +152,7 @@ def replay_evaluation(scene: Scene, request: ReplayRequest) -> ReplayAnswer:
         genome = np.array([request.genome], dtype=np.float32)
         grasps = Decoder(scene, GIVEN, ObjectSurface(scene))(genome)
         trial = protocol.trial(grasps[0], request.trial)
-        if request.trial == 0 and len(TableFilter(scene)(grasps, np.arange(1))):
+        if request.trial == 0 and len(ApproachFilter(scene)(grasps, np.arange(1))):
             episode.overlaps(trial)
             verdict = EpisodeResult(Outcome.OVERLAP, trial.pose.joints)
         else:

@@ -59,10 +59,10 @@ URDF_OF_A_LINKAGE = """<robot name="hand"><link name="palm"/><link name="one"/><
 </robot>"""
 
 
-def test_masses_and_moments_are_those_of_bullet(hand_scene):
-    from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld
+def test_masses_moments_and_the_reach_of_joints_are_those_of_bullet(hand_scene):
+    from qdgrasp_worker.engines import bullet_world
 
-    class UndrivenWorld(BulletPhysicalWorld):
+    class UndrivenWorld(bullet_world.BulletPhysicalWorld):
         """A world of Bullet whose links have their own inertia alone."""
 
         def _add_inertia(self, index: int, inertia: float, *, slides: bool) -> None:
@@ -75,14 +75,7 @@ def test_masses_and_moments_are_those_of_bullet(hand_scene):
             assert model.links[link].mass == pytest.approx(mass)
             assert model.links[link].moments == pytest.approx(moments, rel=2e-3, abs=1e-12)
         assert model.moments == pytest.approx(world._target.inertia()[1], rel=1e-4)
-
-
-def test_the_reach_of_joints_is_that_of_bullet(hand_scene):
-    from qdgrasp_worker.engines import bullet_world
-
-    model = SceneModel(hand_scene, PHYSICS.time_step)
-    opened = {joint.name: joint.opened for joint in hand_scene.gripper.joints}
-    with closing(bullet_world.BulletPhysicalWorld(hand_scene, PHYSICS)) as world:
+        opened = {joint.name: joint.opened for joint in hand_scene.gripper.joints}
         world._place_away(world.opened)
         for index, joint in zip(world._hand.fingers, model.joints, strict=True):
             expected = bullet_world.reach_of(world._bullet, world._hand, index)

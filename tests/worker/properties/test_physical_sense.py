@@ -4,54 +4,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from tests.common import with_gripper
-from tests.worker.genomes import decoded, draw
+from tests.worker.genomes import draw, evaluated
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_protocol.rows import Outcome
-from qdgrasp_worker.decoder import HandPose
-from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
-from qdgrasp_worker.episode import ShakenEpisode
-from qdgrasp_worker.evaluation_protocols import PAPER, TrialSetup
+from qdgrasp_protocol.rows import GIVEN, Outcome
 
 POSES = 120
 AGREEMENT = 0.95
-
-
-def poses_of(scene, genomes) -> list[HandPose]:
-    return list(decoded(scene, "approach", genomes))
-
-
-def outcomes(world: BulletShakenWorld, poses: list[HandPose]) -> list[Outcome]:
-    """The outcomes of the poses; the world is closed."""
-    found = [ShakenEpisode(world, PAPER).run(TrialSetup(pose)).outcome for pose in poses]
-    world.close()
-    return found
-
-
-def touching(scene, poses: list[HandPose]) -> tuple[list[HandPose], list[Outcome]]:
-    """The first POSES poses that touch the object, half of them successes, with their outcomes."""
-    world, successes, brushes = BulletShakenWorld(scene), [], []
-    for pose in poses:
-        outcome = ShakenEpisode(world, PAPER).run(TrialSetup(pose)).outcome
-        if outcome >= Outcome.BRUSHED:
-            (successes if outcome.is_success else brushes).append((pose, outcome))
-        if min(len(successes), len(brushes)) >= POSES // 2:
-            break
-    world.close()
-    chosen = successes[: POSES // 2] + brushes[: POSES // 2]
-    assert len(chosen) == POSES
-    return [pose for pose, _ in chosen], [outcome for _, outcome in chosen]
-
-
-def agreement(found: list[Outcome], expected: list[Outcome]) -> float:
-    """The share of poses that come to the same."""
-    return float(np.mean(np.array(found) == np.array(expected)))
-
-
-def mirrored_pose(pose: HandPose) -> HandPose:
-    """The image of a pose in the plane x = 0, for a hand whose frame is mirrored likewise."""
-    (px, py, pz), (x, y, z, w) = pose.position, pose.quaternion
-    return HandPose([-px, py, pz], [x, -y, -z, w], pose.joints, pose.synergy)
+MIRROR = np.array([-1, 1, 1, 1, -1, -1, 1], dtype=np.float32)
+"""Signs of a pose in the plane x = 0, for a hand whose frame is mirrored likewise."""
 
 
 def mirrored_mesh(obj: bytes) -> bytes:
@@ -78,6 +39,9 @@ def mirrored(scene: Scene) -> Scene:
 
 @pytest.mark.slow
 def test_the_mirrored_hand_has_the_mirrored_verdict_on_the_mirrored_box(cube):
-    poses, verdicts = touching(cube, poses_of(cube, draw(2000, near=400)))
-    found = outcomes(BulletShakenWorld(mirrored(cube)), [mirrored_pose(pose) for pose in poses])
-    assert agreement(found, verdicts) >= AGREEMENT
+    rows = evaluated(cube, "approach", draw(1500, near=400))
+    successes, brushes = rows[rows["outcome"] > Outcome.BRUSHED], rows[rows["outcome"] == Outcome.BRUSHED]
+    some = np.concatenate([successes[: POSES // 2], brushes[: POSES // 2]])
+    assert len(some) == POSES
+    found = evaluated(mirrored(cube), GIVEN, some["base_to_object"] * MIRROR)
+    assert (found["outcome"] == some["outcome"]).mean() >= AGREEMENT

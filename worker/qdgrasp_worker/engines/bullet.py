@@ -54,13 +54,14 @@ BASE = -1  # The index of a body's root link
 BREAKING_THRESHOLD = 0.02
 """Bullet's default distance at which contacts begin and end, as a share of a shape's size."""
 HAND_GROUP, OBJECT_GROUP, TABLE_GROUP = 1, 2, 4
-"""Collision groups: an object meets hands and a table only; a hand meets itself on request."""
+"""Collision groups: an object meets hands, table and neighbours only; a hand meets itself on request."""
 TABLE_AWAY = [0.0, 0.0, -20.0]  # Its place when unused, away from all bodies [m]
-TABLE_URDF = """<robot name="table"><link name="table">
+FIXED_URDF = """<robot name="fixed"><link name="fixed">
 <inertial><mass value="0"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
-<collision><geometry><box size="{sides}"/></geometry></collision>
+<collision><geometry>{geometry}</geometry></collision>
 </link></robot>
 """
+TABLE_GEOMETRY = f'<box size="{" ".join(str(2.0 * half) for half in TABLE_HALF)}"/>'
 OBJECT_URDF = """<robot name="object"><link name="object">
 <inertial><mass value="{mass!r}"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
 <collision><origin xyz="1e-9 0 0"/><geometry><mesh filename="parts.obj"/></geometry></collision>
@@ -244,9 +245,10 @@ class ObjectBody(BulletBody):
         self._bullet.changeDynamics(self.body, BASE, linearDamping=rate, angularDamping=rate)
 
 
-def load_table(bullet: Bullet) -> BulletBody:
-    """A table that stands still where it is placed."""
-    urdf = TABLE_URDF.format(sides=" ".join(str(2.0 * half) for half in TABLE_HALF))
-    table = BulletBody(bullet, urdf, {}, fixed=True, group=TABLE_GROUP, mask=HAND_GROUP | OBJECT_GROUP)
-    table.set_friction(HAND_FRICTION, 0.0, 0.0)
-    return table
+def load_fixed(bullet: Bullet, parts: bytes = b"") -> BulletBody:
+    """A body that stands still where it is placed: convex parts as one OBJ file, or a table."""
+    urdf = FIXED_URDF.format(geometry='<mesh filename="parts.obj"/>' if parts else TABLE_GEOMETRY)
+    mask = HAND_GROUP | OBJECT_GROUP
+    body = BulletBody(bullet, urdf, {"parts.obj": parts}, fixed=True, group=TABLE_GROUP, mask=mask)
+    body.set_friction(HAND_FRICTION, 0.0, 0.0)
+    return body

@@ -24,13 +24,18 @@ from qdgrasp_worker.engines.bullet import (
     TABLE_AWAY,
     TABLE_GROUP,
     Bullet,
-    BulletBody,
     HandBody,
     ObjectBody,
-    load_table,
+    load_fixed,
 )
 from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
-from qdgrasp_worker.physical_episode import FingerControl, PhysicalWorld, finger_drives, table_middle
+from qdgrasp_worker.physical_episode import (
+    NO_TABLE_UP,
+    FingerControl,
+    PhysicalWorld,
+    finger_drives,
+    table_middle,
+)
 from qdgrasp_worker.world import (
     AWAY_POSITION,
     HAND_FRICTION,
@@ -206,7 +211,8 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
 
     def __init__(self, scene: Scene, physics: Physics, table: RestingPose | None = None) -> None:
         self.physics, self.table, self.step_seconds = physics, table, physics.time_step
-        self._up = table.up if table else STILL
+        self._up = table.up if table else NO_TABLE_UP
+        self._neighbour_parts = scene.neighbours
         super().__init__(scene)
 
     def _prepare(self, gripper: SceneGripper) -> None:
@@ -234,11 +240,12 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         drives = finger_drives(gripper, joints, reaches, physics.haste)
         for index, joint, drive in zip(hand.fingers, joints, drives, strict=True):
             self._add_inertia(index, drive.inertia, slides=joint.kind == "prismatic")
-        self._table: BulletBody | None = None
-        if self.table is not None:
+        if self.table or self._neighbour_parts:
             hand.collide(HAND_GROUP, OBJECT_GROUP | HAND_GROUP | TABLE_GROUP)
             target.collide(OBJECT_GROUP, HAND_GROUP | TABLE_GROUP)
-            self._table = load_table(bullet)
+        parts = self._neighbour_parts
+        self._table = load_fixed(bullet) if self.table else None
+        self._neighbours = load_fixed(bullet, parts) if parts else None
         still = [0.0] * len(hand.fingers)  # joints move freely, except for the torques of each step
         bullet.setJointMotorControlArray(hand.body, hand.fingers, bullet.VELOCITY_CONTROL, forces=still)
         self._control = FingerControl(drives, is_coupled=gripper.jaw is not None)
@@ -274,10 +281,10 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         """Put hand and object in place as `BulletWorld.reset` does; the object is free and undamped."""
         self._target.damp(0.0)
         self._target.set_inertia(self._mass, self._moments)
-        if self._table:
-            self._table.place(TABLE_AWAY, UPRIGHT)
+        for body in filter(None, (self._table, self._neighbours)):
+            body.place(TABLE_AWAY, UPRIGHT)
         super().reset(trial, posture)
-        self.lower_table(0.0)
+        self.lower_surroundings(0.0)
         self._axes = trial.pose.axes
 
     def close_fingers(self, synergy: int) -> None:
@@ -321,10 +328,12 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         bullet, body = self._bullet, self._target.body
         bullet.applyExternalForce(body, BASE, force, self._target.pose[0], bullet.WORLD_FRAME)
 
-    def lower_table(self, way: float) -> None:
-        """Put the table, if there is one, `way` [m] below the place where the object rests on it."""
+    def lower_surroundings(self, way: float) -> None:
+        """Put table and neighbours, where there are any, `way` [m] below their places at first."""
         if self._table and self.table:
             self._table.place(table_middle(self.table, way), facing(self.table.up).tolist())
+        if self._neighbours:
+            self._neighbours.place([-way * axis for axis in self._up], UPRIGHT)
 
     def is_on_table(self) -> bool:
         """Return whether the object touches the table."""

@@ -25,6 +25,7 @@ from qdgrasp_worker.episode import EpisodeResult, outcome_of, settled_pose
 from qdgrasp_worker.evaluation_protocols import PUSHES, TrialSetup
 from qdgrasp_worker.evaluator import Evaluator
 from qdgrasp_worker.physical_episode import (
+    OUT_OF_THE_WAY,
     REST_SPEED,
     REST_SPIN,
     RESTING_LOOKS,
@@ -173,14 +174,14 @@ class LockstepEpisodes:
         couplings = [simulation.coupled(self._closing(setup)) for setup in self._setups]
         states["eq_active"] = np.array(couplings, dtype=bool).reshape(n, -1)
         states["force"], states["friction"] = np.zeros((n, 3)), self._friction
-        states["mocap_pos"], states["mocap_quat"] = np.zeros((n, 0, 3)), np.zeros((n, 0, 4))
         states["qpos"][:, simulation.places] = self._joints
-        turns = self._turns[:, [3, 0, 1, 2]]
+        turns = self._turns[:, [3, 0, 1, 2]]  # neighbours have the frame of the object as it was placed
+        states["mocap_pos"] = np.repeat(self._places[:, None], model.nmocap, axis=1)
+        states["mocap_quat"] = np.repeat(turns[:, None], model.nmocap, axis=1)
         if simulation is self._world.free:
             states["qpos"][:, -7:] = np.concatenate([self._places, turns], axis=1)
             states["damping"] = np.zeros((n, FREE_DOFS))
         else:
-            states["mocap_pos"], states["mocap_quat"] = self._places[:, None], turns[:, None]
             states["damping"] = np.zeros((n, 0))
         return states
 
@@ -249,6 +250,7 @@ class LockstepEpisodes:
     def _push(self, rows: Rows) -> list[int]:
         """Push the objects along their hands' axes; return how many pushes the hands withstand."""
         self._states["damping"][:] = 0.0
+        self._states["mocap_pos"][:] = OUT_OF_THE_WAY
         self._control.stop()
         survived = np.zeros(len(self._setups), dtype=np.intp)
         most = np.full(len(survived), self._physics.steps(self._physics.push_time))

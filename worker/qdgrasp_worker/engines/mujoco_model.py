@@ -29,7 +29,7 @@ from qdgrasp_worker.physical_episode import TABLE_HALF, FingerDrive
 
 DETECTION_GAP = 5e-4  # Extra distance at which contacts are found; two shapes add theirs [m]
 LEAST_MASS, LEAST_MOMENT = 1e-6, 1e-9  # For a link that has none in Bullet [kg, kg m2]
-OBJECT, TABLE = "*object", "*table"  # Names of the bodies of the object and the table
+OBJECT, NEIGHBOURS, TABLE = "*object", "*neighbours", "*table"  # Names of bodies beside the hand's links
 TABLE_AWAY = "0 0 -20"  # Its place until it is set: away from all bodies
 TWELFTH = 0.08333333  # 1/12 as written in Bullet
 INFLATIONS = {"box": (0, 0), "sphere": (0, 0), "cylinder": (1, 1), ".stl": (1, 1), ".obj": (3, 0)}
@@ -208,6 +208,8 @@ class SceneModel:
         self.moments = box_moments(target.mass, sides)
         """The object's principal moments of inertia (3,) [kg m2]."""
         self._mass, self._shape = target.mass, shape
+        around = [part.vertices for part in parse_parts(scene.neighbours.decode())]
+        self._neighbours = mesh_shape(".obj", np.eye(4), around) if around else None
 
     def _joint(self, joint: Joint) -> UrdfJoint:
         found = self.robot.joint(joint.name)
@@ -249,9 +251,12 @@ class SceneModel:
         group = {"contype": HAND_GROUP, "conaffinity": "3" if meets_itself else OBJECT_GROUP}
         self._add_link(world, meshes, self.robot.root, joints, group | {"friction": PAIR_FRICTION})
         self._add_object(world, meshes, is_free=is_free)
+        meeting = {"contype": "0", "conaffinity": "3", "friction": PAIR_FRICTION}
+        if self._neighbours:
+            around = ET.SubElement(world, "body", name=NEIGHBOURS, mocap="true", pos=TABLE_AWAY)
+            add_shape(around, meshes, self._neighbours, meeting)
         if self._has_table:
             table = ET.SubElement(world, "body", name=TABLE, mocap="true", pos=TABLE_AWAY)
-            meeting = {"contype": "0", "conaffinity": "3", "friction": PAIR_FRICTION}
             ET.SubElement(table, "geom", meeting, type="box", size=words(TABLE_HALF))
         equality = ET.SubElement(root, "equality")
         for name, led in self.couplings.items():

@@ -8,7 +8,7 @@ import numpy as np
 
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_protocol.errors import AssetError
-from qdgrasp_worker.engines.mujoco_model import OBJECT, TABLE, SceneModel
+from qdgrasp_worker.engines.mujoco_model import NEIGHBOURS, OBJECT, TABLE, SceneModel
 from qdgrasp_worker.world import NEAR, Touch
 
 FREE_DOFS = 6
@@ -40,10 +40,14 @@ class Simulation:
         self.is_object = self.model.geom_bodyid == self.object
         self.of_object = np.flatnonzero(self.is_object)
         bodies = self.model.geom_bodyid
-        self._is_table = np.array([self.model.body(i).name == TABLE for i in bodies])
-        is_link = ~(self.is_object | self._is_table)
+        names = np.array([self.model.body(i).name for i in bodies])
+        self._is_table = names == TABLE
+        is_link = ~np.isin(names, [OBJECT, NEIGHBOURS, TABLE])
         met = np.where(is_link[:, None] & self.is_object, bodies[:, None], -1)
-        self._link_met = np.maximum(met, met.T)  # (g, g): link in a contact of two geoms; -1: none
+        self.link_met = np.maximum(met, met.T)
+        """(g, g): link of the hand in a contact of two geoms, the other the object's; -1: there is none."""
+        around = self.model.geom_bodyid[names == NEIGHBOURS]
+        self._neighbours = self.model.body_mocapid[np.unique(around)]  # none or one
         self._force = np.zeros(6)
         moving = [self.model.joint(i) for i in range(self.model.njnt)]
         self._joint_places = {joint.name: int(joint.qposadr[0]) for joint in moving if joint.name}
@@ -82,6 +86,11 @@ class Simulation:
     def place_table(self, position: Floats, quaternion: Floats) -> None:
         """Put the middle of the table at a position (3,) [m] and quaternion (4,)."""
         self.data.mocap_pos[-1], self.data.mocap_quat[-1] = position, quaternion[[3, 0, 1, 2]]
+
+    def place_neighbours(self, position: Floats, quaternion: Floats) -> None:
+        """Put the neighbours, where there are any, at a position (3,) [m] and quaternion (4,)."""
+        self.data.mocap_pos[self._neighbours] = position
+        self.data.mocap_quat[self._neighbours] = quaternion[[3, 0, 1, 2]]
 
     def is_on_table(self) -> bool:
         """Return whether the object touches the table, by the contacts of the last step."""
@@ -132,7 +141,7 @@ class Simulation:
         contact = self.data.contact
         distance = contact.dist - contact.includemargin
         first, second = contact.geom.T
-        links = self._link_met[first, second]
+        links = self.link_met[first, second]
         chosen = np.flatnonzero((distance < nearest) & (links >= 0))
         return list(zip(chosen.tolist(), links[chosen].tolist(), distance[chosen].tolist(), strict=True))
 

@@ -26,6 +26,7 @@ from qdgrasp_worker.engines.mujoco_model import DETECTION_GAP, SceneModel, reach
 from qdgrasp_worker.engines.mujoco_simulation import Simulation
 from qdgrasp_worker.evaluation_protocols import Physics, TrialSetup
 from qdgrasp_worker.physical_episode import (
+    NO_TABLE_UP,
     FingerControl,
     FingerDrive,
     PhysicalWorld,
@@ -216,6 +217,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         super().__init__(gripper)
         self.physics, self.table, self.steps_at_once = physics, table, physics.look_every
         self.step_seconds = self.steps_at_once * physics.time_step
+        self._up = table.up if table else NO_TABLE_UP
         model = SceneModel(scene, physics.time_step, has_table=table is not None)
         opened = {joint.name: joint.opened for joint in gripper.joints}
         reaches = [reach_of(model.robot, model.links, opened, joint) for joint in model.joints]
@@ -240,7 +242,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         """Put hand, object and table in place, at rest, without any state of earlier evaluations."""
         super().reset(trial, posture)
         self._origin, self._turn = self.free.object_pose()
-        self.lower_table(0.0)
+        self.lower_surroundings(0.0)
 
     def close_fingers(self, synergy: int) -> None:
         """Fix the object and begin to close; a ValueError for a synergy that the hand does not have."""
@@ -251,7 +253,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         self._now.reset(self._posture, self._friction)
         self._now.place(*place)
         self._now.couple(self._closing)
-        self.lower_table(0.0)
+        self.lower_surroundings(0.0)
 
     def release(self) -> None:
         """Release the object, damped; the targets of a jaw move on, others stay."""
@@ -263,7 +265,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
         free.couple(self._closing)
         free.damp(self.damping)
         self._now = free
-        self.lower_table(0.0)
+        self.lower_surroundings(0.0)
         if not self._control.is_coupled:
             self._control.stop()
 
@@ -278,11 +280,13 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
 
     def weigh(self, factor: float) -> None:
         """Pull the object towards the table with `factor` times its weight, during the next steps."""
-        along = rotate(self._turn, np.array(self.table.up if self.table else STILL))
+        along = rotate(self._turn, np.array(self._up))
         self._now.data.xfrc_applied[self._now.object, :3] = -factor * self.push_force * along
 
-    def lower_table(self, way: float) -> None:
-        """Put the table, if there is one, `way` [m] below the place where the object rests on it."""
+    def lower_surroundings(self, way: float) -> None:
+        """Put table and neighbours, where there are any, `way` [m] below their places at first."""
+        down = -way * rotate(self._turn, np.array(self._up))
+        self._now.place_neighbours(self._origin + down, self._turn)
         if self.table is not None:
             middle = rotate(self._turn, np.array(table_middle(self.table, way)))
             self._now.place_table(self._origin + middle, multiply(self._turn, facing(self.table.up)))

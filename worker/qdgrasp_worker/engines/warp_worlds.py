@@ -112,16 +112,15 @@ class WorldBatch:
         contact, simulation = self.data.contact, self._simulation
         geoms, worlds = contact.geom[:found].numpy(), contact.worldid[:found].numpy()
         distances = host(contact.dist[:found]) - host(contact.includemargin[:found])
-        is_object = simulation.is_object[geoms]
-        chosen = np.flatnonzero((distances < NEAR) & is_object.any(axis=1) & (worlds < n))
+        links = simulation.link_met[geoms[:, 0], geoms[:, 1]]
+        chosen = np.flatnonzero((distances < NEAR) & (links >= 0) & (worlds < n))
         chosen = chosen[np.argsort(worlds[chosen], kind="stable")]
-        is_first, geoms = is_object[chosen, 0], geoms[chosen]
+        is_first = simulation.is_object[geoms[chosen, 0]]
         normals = host(contact.frame[:found])[chosen, 0] * np.where(is_first, -1.0, 1.0)[:, None]
-        hand = np.where(is_first, geoms[:, 1], geoms[:, 0])
         depths = host(contact.dist[:found])[chosen]
         return WorldContacts(
             worlds[chosen].astype(np.intp),
-            simulation.model.geom_bodyid[hand].astype(np.intp),
+            links[chosen].astype(np.intp),
             distances[chosen],
             host(contact.pos[:found])[chosen] + normals * depths[:, None] / 2,
             normals,
