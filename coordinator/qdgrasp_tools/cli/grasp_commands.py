@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from qdgrasp_tools.export.importer import ImportedPoses
 
 
-@options.spec_flags("approach_distance", "resting_pose", sets=())
+@options.spec_flags("approach_distance", "resting_pose", *options.LIMITS, sets=())
 def export(
     keys: dict[str, Any],
     directories: Annotated[
@@ -77,10 +77,6 @@ def export(
         int | None,
         typer.Option(min=1, metavar="N", help="Only N, spread as far as can be; of the best if --top."),
     ] = None,
-    max_penetration: options.MaxPenetration = None,
-    max_motion: options.MaxMotion = None,
-    min_margin: options.MinMargin = None,
-    min_links: options.MinLinks = None,
     verify_top: Annotated[
         int | None,
         typer.Option(
@@ -121,11 +117,10 @@ def export(
 
     Example: qdgrasp export runs/mug-s0 runs/mug-s1 runs/campaign --format parquet -o grasps
     """  # noqa: D205  # typer joins the lines
-    from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
     from qdgrasp_tools.export import exporter  # takes its time to load
     from qdgrasp_tools.export.grasp_reader import GraspChoice
 
-    limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
+    limits = options.grasp_limits(keys)
     choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in, **keys)
     folders = run_folders(directories)
     is_one = len(directories) == 1 and [folder.path for folder in folders] == directories

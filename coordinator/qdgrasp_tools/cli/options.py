@@ -12,6 +12,7 @@ import msgspec
 import typer
 
 from qdgrasp_assets.geometry.mesh_io import scale_of
+from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import PROCESSES
 from qdgrasp_protocol.errors import ImpossibleValue, UnknownName
@@ -31,7 +32,20 @@ MESH_HELP = (
 )
 Units = Annotated[str | None, typer.Option(metavar="UNIT", help=UNITS_HELP, rich_help_panel=SPEC)]
 Mesh = Annotated[str | None, typer.Option(metavar="CHANGES", help=MESH_HELP, rich_help_panel=SPEC)]
-FLAGS: dict[str, Any] = {"units": Units, "mesh": Mesh}
+
+
+def _limit(kind: type[float], metavar: str, help_: str) -> Any:
+    return Annotated[kind | None, typer.Option(min=0, metavar=metavar, help=help_, rich_help_panel=CHOICE)]
+
+
+LIMITS: dict[str, Any] = {
+    "max_penetration": _limit(float, "MM", "Deepest penetration after closing [mm], at most."),
+    "max_motion": _limit(float, "MM", "Motion of the object in the hand while it closed [mm], at most."),
+    "min_margin": _limit(float, "E", "Ferrari-Canny margin of the contacts, at least."),
+    "min_links": _limit(int, "N", "Finger links that touch after closing, at least."),
+}
+"""Flags of `GraspLimits`, by its fields."""
+FLAGS: dict[str, Any] = {"units": Units, "mesh": Mesh, **LIMITS}
 """Flags that are more than a value of their key."""
 Sets = Annotated[
     list[str] | None,
@@ -114,6 +128,11 @@ def _parsed(text: str) -> Any:
         return text
 
 
+def grasp_limits(keys: dict[str, Any]) -> GraspLimits:
+    """Take the limits of grasps out of the values that flags give."""
+    return GraspLimits(**{name: keys.pop(name, None) for name in LIMITS})
+
+
 def scale_of_units(units: str | None) -> float | None:
     """Return the metres to a unit, by name or as a number; errors as of `scale_of`."""
     number = _parsed(units or "")
@@ -163,33 +182,6 @@ Listen = Annotated[
 ]
 Job = Annotated[
     str | None, typer.Option(help="Name on the bus; default: the folder's name.", rich_help_panel=PROCESSES)
-]
-MaxPenetration = Annotated[
-    float | None,
-    typer.Option(
-        min=0, metavar="MM", help="Deepest penetration after closing [mm], at most.", rich_help_panel=CHOICE
-    ),
-]
-MaxMotion = Annotated[
-    float | None,
-    typer.Option(
-        min=0,
-        metavar="MM",
-        help="Motion of the object in the hand while it closed [mm], at most.",
-        rich_help_panel=CHOICE,
-    ),
-]
-MinMargin = Annotated[
-    float | None,
-    typer.Option(
-        min=0, metavar="E", help="Ferrari-Canny margin of the contacts, at least.", rich_help_panel=CHOICE
-    ),
-]
-MinLinks = Annotated[
-    int | None,
-    typer.Option(
-        min=0, metavar="N", help="Finger links that touch after closing, at least.", rich_help_panel=CHOICE
-    ),
 ]
 RunDir = Annotated[Path, typer.Argument(metavar="DIR", help="A run's folder.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object and nothing else.")]

@@ -229,7 +229,7 @@ FINALISTS = 100
 STILL = 2e-4  # Way of an object in a closing hand, below which it had been at rest [m]
 
 
-@options.spec_flags("base", "engine", "approach_distance", "resting_pose", sets=())
+@options.spec_flags("base", "engine", "approach_distance", "resting_pose", *options.LIMITS, sets=())
 def rerank(
     directory: options.RunDir,
     keys: dict[str, Any],
@@ -248,10 +248,6 @@ def rerank(
     trials: Annotated[
         int, typer.Option(min=1, max=TRIALS, help="Trials of each; 20 harder after 100.")
     ] = TRIALS,
-    max_penetration: options.MaxPenetration = None,
-    max_motion: options.MaxMotion = None,
-    min_margin: options.MinMargin = None,
-    min_links: options.MinLinks = None,
     reseat: Annotated[
         bool,
         typer.Option("--reseat/--no-reseat", help="Close a jaw from where it settled, if it holds there."),
@@ -279,7 +275,7 @@ def rerank(
     if protocol not in TRIAL_COUNTS:
         raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)
     source = RunFolder.open(directory)
-    limits = GraspLimits(max_penetration, max_motion, min_margin, min_links)
+    limits = options.grasp_limits(keys)
     count = options.worker_count(workers, keys.get("engine") or source.spec.engine)
     config = LocalJobConfig(count, listen, security, insecure)
     asked = {"protocol": protocol, "trials": trials} | keys
