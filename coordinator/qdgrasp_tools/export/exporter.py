@@ -330,51 +330,7 @@ class DatasetWriter:
             jaw_files.write_graspgen_index(self.path / DATA / hand, objects)
 
 
-CARD_TEMPLATE = Template(f"""---
-$head---
-
-# Grasps of qdgrasp
-
-$words.
-
-## Simulation
-
-An open hand without an arm is placed at a commanded pose, closes, and the object is disturbed
-($evaluations in all, under the protocols and engines of the index):
-
-- success: a finger touches the object after closing
-- grasp: a success that survives at least one disturbance: fitness 1 or more
-- fitness: {FITNESS_MEANING}
-- quality (`confidence`): 0 to 1, higher is better: the estimated probability of transfer where it is known,
-  else the share of the disturbances that was survived
-
-## Frames
-
-Units are {UNITS}. Poses are those of the hand's root link in the object's `$frame` frame: $meaning.
-The commanded pose goes with the open joints, the settled pose with the joints after closing. Quaternions in
-tables are x, y, z, w. Each file says of itself: link, axes, scale, masses, centre of mass, digests, and the
-spec that repeats its run.
-
-## Files
-
-`{INDEX}` has a line for each run: object, hand, counts, digests, files. The files in `{DATA}/HAND` are of the
-format `$format`; docs/formats.md of qdgrasp explains it. Poses in a file of Parquet are scored again by
-`qdgrasp import FILE --gripper HAND --object MESH -o poses.npz`.
-
-## Licences
-
-Each mesh keeps its own licence. In the formats acronym, graspgen and dexgraspbench it lies with
-the grasps; elsewhere it is only named, with its digest.
-
-| licence of the object | objects |
-|---|---|
-$licences
-$left_out
-## How to cite
-
-Huber, J., Hélénon, F., Kappel, M., Chelly, E., Khoramshahi, M., Ben Amar, F., Doncieux, S. (2024). Speeding
-up 6-DoF Grasp Sampling with Quality-Diversity. arXiv:2403.06173.
-""")
+CARD_TEMPLATE = Template(Path(__file__).with_name("card.md").read_text(encoding="utf-8"))
 
 
 def card_text(data: DatasetWriter) -> tuple[str, str]:
@@ -389,6 +345,8 @@ def card_text(data: DatasetWriter) -> tuple[str, str]:
         licences.setdefault(name, set()).add(entry["object"])
     left = [f"- `{run}`: {' '.join(reason.split())}" for run, reason in data.left_out.items()]
     text = CARD_TEMPLATE.substitute(
+        fitness=FITNESS_MEANING,
+        units=UNITS,
         head=to_yaml(_head(data)),
         words=words,
         evaluations=counted(sum(entry["evaluations"] for entry in entries), "evaluation"),
