@@ -9,6 +9,8 @@ from PIL import Image
 from tests.coordinator.recorded_runs import record
 from tests.system.commands import Commands
 
+from qdgrasp_coordinator.storage.journal import JournalSlice
+from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows
 from qdgrasp_protocol.spec import to_values
@@ -67,6 +69,27 @@ def test_a_row_that_is_not_what_it_was_is_named(qdgrasp: Commands, untrue: Path)
     assert done.out.splitlines()[0] == f"row {held} of {untrue}, trial 0: fitness 6.0 instead of 1.0"
     assert f"{n - 1} of {n} rows the same: " in done.out
     assert f"{n} of them were made on a platform that is not recorded" in done.out
+
+
+def test_what_a_worker_got_recorded_wrong_is_taken_back_and_made_again(qdgrasp, reference, tmp_path) -> None:
+    folder, rows = RunFolder.open(reference[0]), rows_of(reference[0])
+    n, first_lie = len(rows), len(rows) // 3
+    makers = np.resize(np.repeat(["honest node1", "wrong node2"], 50), n)
+    rows[first_lie + 1 :] = rows[first_lie + 1 :][::-1]  # for the search has learned from it
+    lies = (makers == "wrong node2") & (np.arange(n) >= first_lie) & (np.arange(n) % 4 == first_lie % 4)
+    rows["penetration"][lies] += np.float32(1e-3)
+    made = RunFolder.create(tmp_path / "lied", folder.spec, folder.bundle())
+    with folder.journal() as old, JournalWriter.create(made.path, old.identity) as journal:
+        for start in range(0, n, 50):
+            by = tuple(makers[start : start + 50].tolist())
+            journal.append(JournalSlice(start, rows[start : start + 50], makers=by), 1, 0.0, old.platform)
+    done = qdgrasp("verify", made.path, "--sample", 100, "--fix", "--workers", 2)
+    assert done.code == 1
+    left = int(np.flatnonzero(lies)[0]) // 50 * 50
+    assert f"{n - left} rows of {made.path} are taken back" in done.out
+    assert qdgrasp("resume", made.path, "--workers", 2).code == 0
+    assert qdgrasp.digest(made.path) == reference[1]
+    qdgrasp.succeed("verify", made.path, "--all", "--workers", 2)
 
 
 @pytest.mark.slow

@@ -29,7 +29,6 @@ from qdgrasp_coordinator.search.registry import check_spec
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder, new_job
-from qdgrasp_coordinator.storage.journal_writer import JournalWriter
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, LOGS, RUNS, SKIPPED, OutFolder
 from qdgrasp_coordinator.storage.run_folder import PreparedScene, RunFolder
 from qdgrasp_protocol.errors import (
@@ -45,13 +44,6 @@ from qdgrasp_protocol.spec import RunSpec, differences, run_spec, to_values
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_file import Campaign, read_campaign
 from qdgrasp_tools.campaign.object_library import skip_report
-
-
-def take_errors_back(folder: RunFolder) -> None:
-    """Take back the first row of a run on which the simulator failed, and all behind it."""
-    with folder.job.lock(), JournalWriter.open(folder.path) as journal:
-        if errors := journal.errors():
-            journal.withdraw(min(errors))
 
 
 def extend_run(folder: RunFolder, **goals: float) -> None:

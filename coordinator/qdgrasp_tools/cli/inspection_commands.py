@@ -33,7 +33,13 @@ from qdgrasp_tools.local.progress import progress_display
 from qdgrasp_tools.local.supervisor import LocalJobConfig
 from qdgrasp_tools.report.row_report import report_table, row_report
 from qdgrasp_tools.verification.comparison import VerificationReport
-from qdgrasp_tools.verification.verify import EngineComparison, choose_rows, compare_engine, verify_rows
+from qdgrasp_tools.verification.verify import (
+    EngineComparison,
+    choose_rows,
+    compare_engine,
+    verify_rows,
+)
+from qdgrasp_tools.verification.wrong_rows import take_wrong_rows_back
 
 
 def info(
@@ -106,6 +112,9 @@ def verify(
     engine: Annotated[
         str | None, typer.Option(help="Compare verdicts on successes with this engine: bullet or mujoco.")
     ] = None,
+    fix: Annotated[
+        bool, typer.Option("--fix", help="Take back the first row that is wrong, and all behind it.")
+    ] = False,
     workers: options.Workers = None,
     as_json: options.Json = False,
 ) -> None:
@@ -115,6 +124,9 @@ def verify(
     goes through its own prior, genome and trial. Where something differs, the rows and columns are named, and
     how this platform differs from the one that they were made on. Exit code 0: all the same; 1: not all.
 
+    With --fix earlier rows of workers whose rows differ are evaluated again too. The first row that differs
+    twice is taken back with all behind it, for the search has learned from it; `qdgrasp resume` continues.
+
     With --engine the commanded poses of successes of a run are simulated in another engine, and both verdicts
     of each written to engine-NAME.csv in its folder; they may differ, so that the exit code is 0. The table
     keeps what it has of other successes.
@@ -123,7 +135,11 @@ def verify(
     """
     if every and sample is not None:
         raise InputError("--all leaves nothing to --sample: give one of them.")
-    folders = run_folders([directory])
+    if fix and engine is not None:
+        raise InputError("--fix is for a run's own engine: leave out --engine, or --fix.")
+    folders, said = run_folders([directory]), list[str]()
+    for folder in folders if fix else ():
+        folder.job.check_not_in_use()
     engines = [engine] if engine is not None else [folder.spec.engine for folder in folders]
     config = LocalJobConfig(options.worker_count(workers, *engines))
     most = None if every else sample or SAMPLE_ROWS
@@ -133,11 +149,14 @@ def verify(
         found: VerificationReport | EngineComparison | None
         if engine is None:
             found = verify_rows(samples, config, shown, stop)
+            said = take_wrong_rows_back(found, config, shown, stop) if fix and not found.is_same else []
         else:
             found = compare_engine(RunFolder.open(directory), engine, most, seed, config, shown, stop)
     if stop.is_set or found is None:
         raise typer.Exit(stop.exit_code)
     echo(json.dumps(msgspec.to_builtins(found)) if as_json else found.table)
+    for sentence in said:
+        echo(sentence, err=as_json)
     if isinstance(found, VerificationReport) and not found.is_same:
         raise typer.Exit(1)
 

@@ -5,7 +5,7 @@ Rows are drawn so that each outcome has its share, and evaluated as runs of a te
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -145,9 +145,19 @@ def choose_rows(folders: Sequence[RunFolder], most: int | None, seed: int) -> li
     for stock, _ in stocks:
         here = places[(places >= first) & (places < first + len(stock.numbers))] - first
         first += len(stock.numbers)
-        parts = (here[start : start + MOST_ROWS] for start in range(0, len(here), MOST_ROWS))
-        chosen += [replace(stock, numbers=stock.numbers[part]) for part in parts]
+        chosen += _selections(stock.folder, stock.found_by, stock.numbers[here])
     return chosen
+
+
+def select_rows(folder: RunFolder, numbers: Sequence[int]) -> list[RowSelection]:
+    """Select rows of a run by their numbers in its journal, ascending."""
+    with folder.journal() as journal:
+        return _selections(folder, provenance(folder, journal), np.array(numbers, dtype=np.int64))
+
+
+def _selections(folder: RunFolder, by: Provenance, numbers: NDArray[np.int64]) -> list[RowSelection]:
+    starts = range(0, len(numbers), MOST_ROWS)
+    return [RowSelection(folder, by, numbers[start : start + MOST_ROWS]) for start in starts]
 
 
 def verify_rows(

@@ -28,9 +28,9 @@ from qdgrasp_tools.campaign.campaign_folder import (
     begin_campaign,
     extend_run,
     open_campaign,
-    take_errors_back,
 )
 from qdgrasp_tools.campaign.summaries import campaign_summary
+from qdgrasp_tools.verification.wrong_rows import take_errors_back
 
 SHAPE = RowShape(genes=7, joints=2)
 
