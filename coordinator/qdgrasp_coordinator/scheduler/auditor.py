@@ -16,8 +16,8 @@ from qdgrasp_protocol.errors import MessageError
 from qdgrasp_protocol.messages import TRUST_VARIABLE, Failure, Result, shorten
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, RowShape, unpack_possible
 
-AUDITED = 0.01
-"""Share of each worker's rows that trusted workers evaluate again, besides one in n near its n-th row."""
+AUDITED, FIRST_ROWS = 0.01, 50
+"""Trusted workers evaluate such a share of each worker's rows again, and some 50 in 50 + n near its n-th."""
 
 
 class Auditor:
@@ -32,7 +32,7 @@ class Auditor:
         if maker is None or maker.is_trusted or run.needs_device or TRUST_VARIABLE not in os.environ:
             return
         before = np.maximum(maker.rows - len(rows), 0) + np.arange(len(rows))
-        is_drawn = self._random.random(len(rows)) < AUDITED + 1 / (1 + before)
+        is_drawn = self._random.random(len(rows)) < AUDITED + FIRST_ROWS / (FIRST_ROWS + before)
         is_drawn &= rows["outcome"] != Outcome.ERROR
         if is_drawn.any():
             self._audit(run, rows[is_drawn], maker.wid)
