@@ -1,12 +1,19 @@
 """Places of assets: the folders of the asset path, downloaded data, and the cache."""
 
 import errno
+import math
 import os
 import stat
 import tempfile
+import tomllib
 from pathlib import Path
+from typing import TypeVar
 
-from qdgrasp_protocol.errors import UnreadableHere
+import msgspec
+
+from qdgrasp_protocol.errors import AssetError, UnreadableHere
+
+T = TypeVar("T")
 
 ASSET_PATH = "QDGRASP_ASSET_PATH"
 CACHE = "QDGRASP_CACHE"
@@ -39,6 +46,29 @@ def path_problem(path: Path) -> str:
     if stat.S_ISREG(mode):
         return "" if os.access(path, os.R_OK) else "may not be read"
     return A_FOLDER if stat.S_ISDIR(mode) else SPECIAL
+
+
+def read_table(path: Path, kind: type[T], name: str, page: str) -> T:
+    """Read a TOML file of some kind, which has this name and is described on a page.
+
+    `AssetError` if it is absent, or has other keys or kinds, or numbers that are not finite.
+    """
+    if why := path_problem(path):
+        raise AssetError(f"No {name} can be read at '{path}': it {why}; name a {name}'s TOML file.")
+    try:
+        return msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=_finite), kind)
+    except OSError as error:
+        raise AssetError(f"No {name} can be read at '{path}': {error.strerror or error}.") from None
+    except (ValueError, RecursionError) as error:
+        raise AssetError(f"'{path}' is no {name}'s file: {error}; {page} says what each key holds.") from None
+
+
+def _finite(text: str) -> float:
+    """Return the number of a text; `ValueError` for nan and inf, which TOML knows."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"numbers are finite, got {text}")
+    return value
 
 
 def on_asset_path(relative: str) -> Path | None:

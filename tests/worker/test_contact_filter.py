@@ -1,15 +1,11 @@
 """The contact filter, and the box that an object leaves for good."""
 
-from itertools import product
-from types import SimpleNamespace
-
 import msgspec
 import numpy as np
 import pytest
 from tests.worker.genomes import decoded
 
 from qdgrasp_assets.genes import layout
-from qdgrasp_assets.geometry.voxels import convex_hulls
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
 from qdgrasp_worker.contact_filter import (
     BoundingBalls,
@@ -21,16 +17,6 @@ from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.episode import ShakenEpisode
 from qdgrasp_worker.evaluation_protocols import PROTOCOLS, TrialSetup
 from qdgrasp_worker.pose_filters import ObjectSolid
-
-
-def pose_at(position, turn) -> HandPose:
-    quaternion = np.array(turn) / np.linalg.norm(turn)
-    return HandPose(list(position), quaternion.tolist(), [], NO_SYNERGY)
-
-
-def box(*size):
-    """The part of a solid that bounding balls use, for a box."""
-    return SimpleNamespace(hulls=convex_hulls([np.array(list(product((-0.5, 0.5), repeat=3))) * size]))
 
 
 def assert_covers(cover, solid):
@@ -105,4 +91,4 @@ def test_nothing_is_known_of_a_hand_with_a_shape_that_is_not_understood(cube):
     reach = ContactFilter(gripper, ObjectSolid(cube), lambda *_: [], follows_free_joints=True)
     assert urdf != cube.gripper.urdf
     assert not reach.is_known
-    assert not reach.misses(pose_at((0.0, 0.0, 3.0), (0, 0, 0, 1)))
+    assert not reach.misses(HandPose([0.0, 0.0, 3.0], [0.0, 0.0, 0.0, 1.0], [], NO_SYNERGY))

@@ -54,14 +54,10 @@ def test_what_is_too_heavy_or_too_slippery_stays_on_the_table(engine):
     assert outcome(lifting(engine, friction=0.004)) <= Outcome.DROPPED
 
 
-def never(*_: object) -> bool:
-    return False
-
-
 def test_lifting_ends_early_only_where_it_would_end_so_anyway(scene, monkeypatch):
     scene, genomes = lifting(scene.engine, mass=1.8), hands_above(40, seed=4)
     rows = evaluated(scene, GIVEN, genomes)
-    monkeypatch.setattr("qdgrasp_worker.physical_episode.LiftEpisode._ends_early", never)
+    monkeypatch.setattr("qdgrasp_worker.physical_episode.LiftEpisode._ends_early", lambda *_: False)
     assert results(evaluated(scene, GIVEN, genomes), "steps") == results(rows, "steps")
 
 

@@ -19,22 +19,16 @@ from qdgrasp_worker.pose_filters import ObjectSolid, OverlapFilter
 OVERLAPPING = [("panda", "mug", "paper"), ("barrett", "rubiks_cube", "paper"), ("allegro", "mug", "released")]
 
 
-def compare(scene, prior, n, seed):
-    """The random poses that Bullet rejects, and that the filter rejects: (n,) each."""
-    protocol = PROTOCOLS[scene.protocol]
-    grasps = decoded(scene, prior, draw(n, len(layout(scene, prior)), seed))
-    overlap = OverlapFilter(scene.gripper, ObjectSolid(scene), follows_free_joints=protocol.free_joints_first)
-    episode = ShakenEpisode(BulletShakenWorld(scene), protocol)
-    rejected = np.isin(np.arange(n), overlap(grasps, np.arange(n)))
-    overlapping = np.array([episode.overlaps(TrialSetup(grasps[i])) for i in range(n)])
-    episode.world.close()
-    return overlapping, rejected
-
-
 @pytest.mark.parametrize("scene", OVERLAPPING, ids="-".join)
 def test_what_the_filter_rejects_overlaps_in_bullet_and_it_finds_most(scene, make_scene):
+    scene, places = make_scene(*scene), np.arange(1200)
+    protocol = PROTOCOLS[scene.protocol]
+    overlap = OverlapFilter(scene.gripper, ObjectSolid(scene), follows_free_joints=protocol.free_joints_first)
+    episode = ShakenEpisode(BulletShakenWorld(scene), protocol)
     for prior in ("contact", "approach"):
-        overlapping, rejected = compare(make_scene(*scene), prior, 1200, seed=1)
+        grasps = decoded(scene, prior, draw(len(places), len(layout(scene, prior)), seed=1))
+        rejected = np.isin(places, overlap(grasps, places))
+        overlapping = np.array([episode.overlaps(TrialSetup(grasps[i])) for i in places])
         assert not (rejected & ~overlapping).any()
         assert overlapping.sum() > 100
         assert rejected.sum() > overlapping.sum() / 2

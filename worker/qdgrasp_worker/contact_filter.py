@@ -22,7 +22,7 @@ Scenes in which a hand closes the same way share its fields. On an object with a
 larger, so that their number stays bounded.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
@@ -36,17 +36,13 @@ from scipy.ndimage import distance_transform_edt
 from qdgrasp_assets.geometry.mesh import geodesic
 from qdgrasp_assets.geometry.rotation import Floats, running_sum
 from qdgrasp_assets.geometry.voxels import Hull, Singles, VoxelGrid
-from qdgrasp_assets.grippers.hand_geometry import (
-    Closing,
-    FreeJointLinks,
-    HandGeometry,
-    free_posture,
-    hand_geometry,
-)
+from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
+from qdgrasp_assets.grippers.urdf import UrdfJoint
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_worker.contact_margin import HULL_MARGIN
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.pose_filters import ObjectSolid
+from qdgrasp_worker.world import free_posture
 
 VOXEL_PITCH = 3e-3  # The side of a voxel [m]; larger for a hand that passes through more than `MAX_VOXELS`
 MAX_VOXELS = 1 << 22
@@ -212,6 +208,47 @@ def clearances(balls: Balls, sight: float) -> tuple[Singles, NDArray[np.uint8]]:
     return balls.centres.astype(np.float32), far.astype(np.uint8)
 
 
+class FreeJointLinks:
+    """The links that stand still while fingers close, on which others are mounted.
+
+    These mounts are the hand's root, and the links of its free joints.
+    """
+
+    def __init__(self, hand: HandGeometry) -> None:
+        self._root = hand.gripper.base_link
+        free = {joint.name for joint in hand.gripper.free_joints}
+        names = [joint.name for joint in hand.gripper.joints]
+        driven = {joint.name for joint in hand.gripper.joints if joint.driven}
+        frames = hand.frames(np.zeros((1, len(names))))
+        self._mounts: list[tuple[str, Floats, UrdfJoint, int]] = []
+        """Mount below, frame (4, 4) of the joint in its frame, joint, and the joint's place in a posture."""
+        self.mount_of = {self._root: self._root}
+        """The mount under each link."""
+        still = {self._root}
+        self.all_still = not free & driven
+        """True if all of them stand still: no free joint or joint below one is driven."""
+        for joint in hand.robot.joints_beyond(self._root):
+            below, is_free = self.mount_of[joint.parent], joint.name in free
+            self.mount_of[joint.child] = joint.child if is_free else below
+            if joint.parent in still and (is_free or joint.name not in names):
+                still.add(joint.child)
+            if is_free:
+                self.all_still = self.all_still and joint.parent in still
+                frame = np.linalg.inv(frames[below][0]) @ frames[joint.parent][0] @ joint.origin
+                self._mounts.append((below, frame, joint, names.index(joint.name)))
+
+    def frames(self, posture: Sequence[float]) -> dict[str, Floats]:
+        """Each mount's frame (4, 4) in the hand's, with the free joints as in `posture` [rad or m]."""
+        frames = {self._root: np.eye(4)}
+        for below, frame, joint, place in self._mounts:
+            frames[joint.child] = frames[below] @ frame @ joint.motion(posture[place])
+        return frames
+
+
+Closing = Callable[[Sequence[float], int], list[list[float]]]
+"""Courses of a closing hand's joints, by its initial posture and its synergy."""
+
+
 class ContactFilter:
     """Finds poses at which a scene's hand surely misses, without the simulator.
 
@@ -293,11 +330,11 @@ ZONES_KEPT = 32  # Synergies whose zones a process keeps, the last ones used; ab
 
 @lru_cache(ZONES_KEPT)
 def measure_zones(hand: HandGeometry, courses: tuple[bytes, ...]) -> dict[str, VoxelGrid]:
-    """The zones of a closing hand; a course, `HandGeometry.postures`, for each free joint place."""
+    """The zones of a closing hand; a course (n, j), as bytes, for each free joint place."""
     mounts = FreeJointLinks(hand)
     passing: dict[str, list[tuple[Hull, Floats]]] = {}
     for place, course in zip(FREE_JOINT_PLACES, courses, strict=False):
-        frames = hand.frames(interpolate_course(hand.postures(course)))
+        frames = hand.frames(interpolate_course(np.frombuffer(course).reshape(-1, len(hand.gripper.joints))))
         placed = mounts.frames(free_posture(hand.gripper, place))
         for link, hulls in hand.hulls.items():
             under = mounts.mount_of[link]

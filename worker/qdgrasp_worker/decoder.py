@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.object_surface import ObjectSurface
 from qdgrasp_assets.geometry.rotation import Floats
-from qdgrasp_assets.geometry.voxels import Singles
+from qdgrasp_assets.grippers.reachability import Hands
 from qdgrasp_assets.priors import PRIORS
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import UnknownName
@@ -68,7 +68,7 @@ class DecodedGrasps:
         finite: NDArray[np.bool_] = np.isfinite(columns).all(axis=1)
         return finite
 
-    def hands(self, places: NDArray[np.intp]) -> tuple[Singles, Singles, Singles]:
+    def hands(self, places: NDArray[np.intp]) -> Hands:
         """Positions (p, 3), quaternions (p, 4) and joints (p, j) at places (p,) in the batch."""
         return self.positions[places], self.quaternions[places], self.joints[places]
 

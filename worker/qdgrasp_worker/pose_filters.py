@@ -72,7 +72,7 @@ class OverlapFilter:
         """Those of `places` in a batch of grasps at which the hand surely overlaps, ascending."""
         positions, quaternions, joints = grasps.hands(places)
         postures = joints if self._follows else np.broadcast_to(self._opened, joints.shape)
-        return places[self._hand.meets(self._inside, positions, quaternions, postures)]
+        return places[self._hand.meets(self._inside, (positions, quaternions, postures))]
 
 
 class ApproachFilter:
@@ -88,9 +88,9 @@ class ApproachFilter:
         """Those of `places` in a batch of grasps that are refused."""
         hands, refused = grasps.hands(places), np.zeros(len(places), dtype=bool)
         if poses := self._scene.resting_poses:
-            refused |= ~self._approach.clear_of(poses, *hands).any(axis=1)
+            refused |= ~self._approach.clear_of(poses, hands).any(axis=1)
         if self._scene.neighbours:
-            refused |= self._approach.meets(self._near, *hands)
+            refused |= self._approach.meets(self._near, hands)
         return places[refused]
 
     @cached_property

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
-from qdgrasp_assets.grippers.hand_geometry import free_posture
 from qdgrasp_assets.scene import SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
@@ -238,6 +237,17 @@ class ShakenWorld(GraspWorld):
         """Begin to close, and count the steps of the protocols."""
         self.close_fingers(synergy)
         yield from range(CLOSING_STEPS)
+
+
+def free_posture(gripper: SceneGripper, share: float) -> list[float]:
+    """Return the open posture with all free joints at this share of their ranges."""
+    free = {joint.name: joint for joint in gripper.free_joints}
+    return [
+        free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
+        if joint.name in free
+        else joint.opened
+        for joint in gripper.joints
+    ]
 
 
 def free_postures(gripper: SceneGripper) -> list[list[float]]:

@@ -1,17 +1,14 @@
 """A gripper's TOML file, read and checked against its URDF; all faults are listed at once."""
 
-import math
-import tomllib
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from msgspec import Struct
 
-from qdgrasp_assets.asset_paths import on_asset_path, path_problem, searched
+from qdgrasp_assets.asset_paths import on_asset_path, read_table, searched
 from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint
 from qdgrasp_assets.grippers.urdf_checks import kind_fault
 from qdgrasp_assets.scene import Jaw, Synergy
@@ -111,26 +108,7 @@ def urdf_path(path: Path, file: GripperFile) -> Path:
 
 def read_gripper_file(path: Path) -> GripperFile:
     """Read a gripper's TOML alone; `AssetError` if it is absent or has other keys or kinds."""
-    if why := path_problem(path):
-        raise AssetError(f"No gripper can be read at '{path}': it {why}; name a gripper's TOML file.")
-    try:
-        return msgspec.convert(
-            tomllib.loads(path.read_text(encoding="utf-8-sig"), parse_float=_finite), GripperFile
-        )
-    except OSError as error:
-        raise AssetError(f"No gripper can be read at '{path}': {error.strerror or error}.") from None
-    except (ValueError, RecursionError) as error:
-        raise AssetError(
-            f"'{path}' is no gripper's file: {error}; docs/grippers.md says what each key holds."
-        ) from None
-
-
-def _finite(text: str) -> float:
-    """Return the number of a text; `ValueError` for nan and inf, which TOML knows."""
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"numbers are finite, got {text}")
-    return value
+    return read_table(path, GripperFile, "gripper", "docs/grippers.md")
 
 
 RIGHT_ANGLE_TOLERANCE = 1e-3  # the cosine up to which an angle is taken for a right one

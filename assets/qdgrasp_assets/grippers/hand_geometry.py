@@ -4,7 +4,7 @@ All of it depends on the hand alone, and the evaluation's filters, the pictures 
 from it: convex parts are what the simulator makes of collision shapes, shapes are the triangles drawn.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property, lru_cache
 
 import msgspec
@@ -20,11 +20,9 @@ from qdgrasp_assets.grippers.collision_shapes import (
     link_convex_parts,
     shapes,
 )
-from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, scene_robot
+from qdgrasp_assets.grippers.urdf import Urdf, scene_robot
 from qdgrasp_assets.scene import SceneGripper
 
-Closing = Callable[[Sequence[float], int], list[list[float]]]
-"""Courses of a closing hand's joints, by its initial posture and its synergy."""
 HANDS_KEPT = 8  # Hands whose geometry a process keeps, the last ones used
 
 
@@ -87,10 +85,6 @@ class HandGeometry:
         """Return whether the contact of a shape makes a success."""
         return shape.link in self.gripper.finger_links
 
-    def postures(self, course: bytes) -> Floats:
-        """Return the postures (n, j) [rad or m] in the bytes of a course."""
-        return np.frombuffer(course).reshape(-1, len(self._joints))
-
     def frames(self, postures: Floats) -> dict[str, Floats]:
         """The frame (n, 4, 4) of each link in the hand's, joints at `postures` (n, j) [rad or m]."""
         frames = self.robot.forward(dict(zip(self._joints, postures.T, strict=True)))
@@ -120,54 +114,6 @@ class HandGeometry:
         for shape in self.shapes:
             frame = frames[shape.link]
             yield shape, shape.vertices @ frame[:3, :3].T + frame[:3, 3]
-
-
-def free_posture(gripper: SceneGripper, share: float) -> list[float]:
-    """Return the open posture with all free joints at this share of their ranges."""
-    free = {joint.name: joint for joint in gripper.free_joints}
-    return [
-        free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
-        if joint.name in free
-        else joint.opened
-        for joint in gripper.joints
-    ]
-
-
-class FreeJointLinks:
-    """The links that stand still while fingers close, on which others are mounted.
-
-    These mounts are the hand's root, and the links of its free joints.
-    """
-
-    def __init__(self, hand: HandGeometry) -> None:
-        self._root = hand.gripper.base_link
-        free = {joint.name for joint in hand.gripper.free_joints}
-        names = [joint.name for joint in hand.gripper.joints]
-        driven = {joint.name for joint in hand.gripper.joints if joint.driven}
-        frames = hand.frames(np.zeros((1, len(names))))
-        self._mounts: list[tuple[str, Floats, UrdfJoint, int]] = []
-        """Mount below, frame (4, 4) of the joint in its frame, joint, and the joint's place in a posture."""
-        self.mount_of = {self._root: self._root}
-        """The mount under each link."""
-        still = {self._root}
-        self.all_still = not free & driven
-        """True if all of them stand still: no free joint or joint below one is driven."""
-        for joint in hand.robot.joints_beyond(self._root):
-            below, is_free = self.mount_of[joint.parent], joint.name in free
-            self.mount_of[joint.child] = joint.child if is_free else below
-            if joint.parent in still and (is_free or joint.name not in names):
-                still.add(joint.child)
-            if is_free:
-                self.all_still = self.all_still and joint.parent in still
-                frame = np.linalg.inv(frames[below][0]) @ frames[joint.parent][0] @ joint.origin
-                self._mounts.append((below, frame, joint, names.index(joint.name)))
-
-    def frames(self, posture: Sequence[float]) -> dict[str, Floats]:
-        """Each mount's frame (4, 4) in the hand's, with the free joints as in `posture` [rad or m]."""
-        frames = {self._root: np.eye(4)}
-        for below, frame, joint, place in self._mounts:
-            frames[joint.child] = frames[below] @ frame @ joint.motion(posture[place])
-        return frames
 
 
 def rigid_pieces(robot: Urdf) -> dict[str, str]:
@@ -257,14 +203,10 @@ class HandSurfaceSamples:
         points = [draw_points(hull, count, random) for (_, hull), count in zip(parts, counts, strict=True)]
         links = np.repeat([link for link, _ in parts], counts)
         together = np.concatenate(points)
-        apart = farthest_points(self._in_hand(links, together))
-        return links[apart], together[apart]
-
-    def _in_hand(self, links: NDArray[np.int64], points: Floats) -> Floats:
-        """The points (n, 3) of `links` (n,) in the frame of the open hand [m]."""
         frames = np.stack([self._opened[name][0] for name in self._names])[links]
-        placed: Floats = np.einsum("nij,nj->ni", frames[:, :3, :3], points) + frames[:, :3, 3]
-        return placed
+        in_hand = np.einsum("nij,nj->ni", frames[:, :3, :3], together) + frames[:, :3, 3]
+        apart = farthest_points(in_hand)
+        return links[apart], together[apart]
 
 
 def draw_points(hull: Hull, n: int, random: np.random.Generator) -> Floats:

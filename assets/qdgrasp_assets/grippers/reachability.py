@@ -30,18 +30,21 @@ from qdgrasp_assets.geometry.voxels import (
     transform_points,
 )
 from qdgrasp_assets.grippers.hand_geometry import POINTS_AT_ONCE, STAGES, hand_geometry
-from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper
+from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
 from qdgrasp_protocol.spec import APPROACH_DISTANCE, RunSpec
 
 APPROACH_STEP = 2e-3  # Distance between two looks at a hand on its way [m]
 HEIGHT_DECIMALS = 9  # Decimals of heights [m] when they are compared
 
 
+Hands = tuple[Singles, Singles, Singles]
+"""Positions (n, 3) [m] and unit quaternions (n, 4) of root links, CoM frame, and joints (n, j) [rad or m]."""
+
+
 class HandApproach:
     """The ways of a scene's open hand to its poses, from `distance` [m] before them.
 
-    Poses are positions (n, 3) [m] and unit quaternions (n, 4) of the hand's root link, CoM frame, and finger
-    joints (n, j) [rad or m]. Results of a pose do not depend on the others.
+    Results of a pose do not depend on the others.
     """
 
     def __init__(self, gripper: SceneGripper, distance: float) -> None:
@@ -51,17 +54,12 @@ class HandApproach:
         steps = ceil(distance / APPROACH_STEP)
         self._ways = np.minimum(APPROACH_STEP * np.arange(steps + 1), distance).astype(np.float32)
 
-    def meets(
-        self,
-        inside: VoxelGrid,
-        positions: NDArray[np.float32],
-        quaternions: NDArray[np.float32],
-        postures: NDArray[np.float32],
-    ) -> NDArray[np.bool_]:
+    def meets(self, inside: VoxelGrid, hands: Hands) -> NDArray[np.bool_]:
         """Return which hands (n,) surely touch the object on their way, or at its end.
 
         `inside` has level 1 where a voxel is wholly inside the object (`voxels.solid_voxels`).
         """
+        positions, quaternions, postures = hands
         found = np.zeros(len(positions), dtype=bool)
         for stage in STAGES:
             step = max(1, POINTS_AT_ONCE // (stage.stop - stage.start))
@@ -84,29 +82,18 @@ class HandApproach:
             hit |= inside.at(x - way * dx, y - way * dy, z - way * dz).any(axis=1)
         return hit
 
-    def heights(
-        self,
-        up: Sequence[float],
-        positions: NDArray[np.float32],
-        quaternions: NDArray[np.float32],
-        postures: NDArray[np.float32],
-    ) -> Floats:
-        """Return the least component along `up` (3,), CoM frame, of hands on their way: (n,) [m]."""
+    def heights(self, up: Vector, hands: Hands) -> Floats:
+        """Return the least component along `up`, CoM frame, of hands on their way: (n,) [m]."""
+        positions, quaternions, postures = hands
         turns = unit(quaternions.astype(np.float64))
         above = rotate(conjugate(turns), np.broadcast_to(np.array(up), (len(turns), 3)))
         ends = self._surface.lowest(above, postures) + dot(positions.astype(np.float64), np.array(up))
         return np.asarray(ends - self._distance * np.maximum(dot(above, self._axis), 0.0))
 
-    def clear_of(
-        self,
-        poses: Sequence[RestingPose],
-        positions: NDArray[np.float32],
-        quaternions: NDArray[np.float32],
-        postures: NDArray[np.float32],
-    ) -> NDArray[np.bool_]:
+    def clear_of(self, poses: Sequence[RestingPose], hands: Hands) -> NDArray[np.bool_]:
         """Return which hands (n, r) stay above the table in each of the object's resting poses."""
-        heights = [self.heights(pose.up, positions, quaternions, postures) - pose.height for pose in poses]
-        found = np.array(heights).reshape(len(poses), len(positions)).T
+        heights = [self.heights(pose.up, hands) - pose.height for pose in poses]
+        found = np.array(heights).reshape(len(poses), len(hands[0])).T
         return np.asarray(found.round(HEIGHT_DECIMALS) >= 0.0)
 
 
@@ -155,16 +142,10 @@ class ReachabilityCheck:
             way = APPROACH_DISTANCE
         return cls(scene, way, pose) if way or pose is not None else None
 
-    def __call__(
-        self,
-        positions: NDArray[np.float32],
-        quaternions: NDArray[np.float32],
-        postures: NDArray[np.float32],
-    ) -> Reach:
-        """Return which hands reach their poses; arguments as in `HandApproach`."""
-        hands = positions, quaternions, postures
+    def __call__(self, hands: Hands) -> Reach:
+        """Return which hands reach their poses."""
         poses = list(self.poses.values())
-        is_clear = ~self._approach.meets(self._inside, *hands)
-        is_above = self._approach.clear_of(poses, *hands)
+        is_clear = ~self._approach.meets(self._inside, hands)
+        is_above = self._approach.clear_of(poses, hands)
         shares = np.array([pose.probability for pose in poses])
         return Reach(is_clear, is_above, (is_clear[:, None] & is_above).astype(np.float64) @ shares)

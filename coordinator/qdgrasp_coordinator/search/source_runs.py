@@ -64,7 +64,7 @@ def reachable_grasps(
     check = ReachabilityCheck.asked(scene, folder.spec, approach_distance, resting_pose)
     if check is not None:
         starts = GenomeReader.of(scene, prior_of(folder.spec)).postures(rows)
-        rows = rows[check(poses[:, :3], poses[:, 3:], starts).is_reachable]
+        rows = rows[check((poses[:, :3], poses[:, 3:], starts)).is_reachable]
     if not len(rows):
         raise InputError(
             f"The hand comes to no grasp of {folder.path} in this way; take another --resting-pose, or a "

@@ -371,7 +371,7 @@ class Grasps:
         if self.approach is None:
             raise InputError("How hands come to these grasps was not asked for: give an approach_distance.")
         poses = self.rows["base_to_object"]
-        return self.approach(poses[:, :3], poses[:, 3:], self.pregrasp)
+        return self.approach((poses[:, :3], poses[:, 3:], self.pregrasp))
 
     @cached_property
     def approach_directions(self) -> Floats:

@@ -4,11 +4,13 @@ from functools import partial
 
 import numpy as np
 import pytest
+from msgspec import structs
 from tests.worker.engines.looped_worlds import LoopedWorlds
 from tests.worker.genomes import draw
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
+from qdgrasp_assets.geometry.mesh import box, parts_to_obj
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import RunSpec
@@ -23,14 +25,18 @@ def physical(hand: str = "panda", target: str = "rubiks_cube", protocol: str = "
     )
 
 
+BESIDE = parts_to_obj([box((0.4, 0.4, 0.01)).moved((0.0, 0.0, -0.035))])
+
+
 @pytest.mark.parametrize(
     ("scene", "prior"),
     [
         (physical(), "approach"),
         (physical("allegro", "mug"), "contact"),
         (physical(protocol="robust"), "approach"),
+        (structs.replace(physical(), neighbours=BESIDE), "approach"),
     ],
-    ids=["panda", "synergies", "trials"],
+    ids=["panda", "synergies", "trials", "neighbours"],
 )
 def test_rows_in_lockstep_are_those_of_one_by_one(scene, prior):
     genomes = draw(24, len(layout(scene, prior)), near=12 if prior == "approach" else 0)

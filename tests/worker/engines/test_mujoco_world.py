@@ -38,14 +38,6 @@ def world(scene) -> MujocoPhysicalWorld:
     return MujocoPhysicalWorld(scene, PHYSICS)
 
 
-@pytest.fixture
-def bullet(scene):
-    from qdgrasp_worker.engines.bullet_world import BulletPhysicalWorld
-
-    with closing(BulletPhysicalWorld(scene, PHYSICS)) as made:
-        yield made
-
-
 @pytest.fixture(params=HANDS)
 def hand_scene(request, make_scene) -> Scene:
     return make_scene(request.param, "mug", "physical")

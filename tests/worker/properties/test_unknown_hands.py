@@ -13,8 +13,6 @@ from qdgrasp_assets.asset_report import examine
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper, draft_toml
-from qdgrasp_assets.gripper_setup.repaired_copy import repaired_copy
-from qdgrasp_assets.grippers.hand_model import guess_base
 from qdgrasp_assets.grippers.urdf import read_urdf
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.rows import NO_SYNERGY
@@ -42,13 +40,9 @@ def packaged(request: pytest.FixtureRequest) -> tuple[Path, str]:
     return found, target
 
 
-def scene_of(urdf: Path, folder: Path, target: str, *, mends: bool = False) -> Scene:
+def scene_of(urdf: Path, folder: Path, target: str) -> Scene:
     """A scene of a hand as it is guessed."""
-    robot, base, file = read_urdf(urdf), None, folder / "own.toml"
-    if mends:
-        with repaired_copy(robot, guess_base(robot)[0], file, lambda _: None, may_centre=True) as copy:
-            robot, base = copy.robot, copy.base
-    draft = draft_gripper(robot, str(robot.path), DraftOverrides(base_link=base))
+    file, draft = folder / "own.toml", draft_gripper(read_urdf(urdf), str(urdf), DraftOverrides())
     file.write_text(draft_toml(draft, file.name))
     assert examine(file, "own").faults == ()
     return build_scene(RunSpec(gripper=str(file), object=target))
@@ -62,21 +56,11 @@ def grasps(scene: Scene, n: int) -> int:
     return sum(outcome.is_grasp for outcome in outcomes(evaluated(scene, "contact", genomes)))
 
 
-def closing_course(scene: Scene) -> np.ndarray:
-    """The joints (n, j) of a scene's hand while it closes on nothing [rad or m]."""
-    with closing(BulletShakenWorld(scene)) as world:
-        return np.array(world.closing(world.opened, NO_SYNERGY))
-
-
-@pytest.fixture
-def mimicking(tmp_path: Path) -> Scene:
-    """A hand of four joints, three of which mimic the first, over the cube."""
+def test_joints_that_mimic_another_close_with_it_as_it_does(tmp_path: Path) -> None:
     (tmp_path / "linkage.urdf").write_text(example_hands.LINKAGE_URDF)
-    return scene_of(tmp_path / "linkage.urdf", tmp_path, "rubiks_cube")
-
-
-def test_joints_that_mimic_another_close_with_it_as_it_does(mimicking: Scene) -> None:
-    course = closing_course(mimicking)
+    mimicking = scene_of(tmp_path / "linkage.urdf", tmp_path, "rubiks_cube")
+    with closing(BulletShakenWorld(mimicking)) as world:
+        course = np.array(world.closing(world.opened, NO_SYNERGY))
     signs = {"knuckle": 1, "left_pad": -1, "other": -1, "right_pad": 1}
     names = [joint.name for joint in mimicking.gripper.joints]
     alike = course * [signs[name] for name in names]
