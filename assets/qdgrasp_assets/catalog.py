@@ -1,21 +1,29 @@
-"""The catalog: names of grippers and objects, and the scene made of one of each."""
+"""The catalog: names of grippers and objects, and the scene of one of each."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta, Struct, structs
 
 from qdgrasp_assets import ycb
-from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, named_path, path_problem, searched
+from qdgrasp_assets.asset_paths import A_FOLDER, NOT_THERE, named_path, path_problem, read_table, searched
+from qdgrasp_assets.geometry import mesh
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh_io import check_file
 from qdgrasp_assets.geometry.resting_poses import chosen_resting_poses
+from qdgrasp_assets.geometry.rotation import Floats, from_euler, rotate, unit
+from qdgrasp_assets.geometry.voxels import convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import check_convex
 from qdgrasp_assets.grippers.gripper import Gripper, read_gripper
 from qdgrasp_assets.grippers.gripper_file import read_gripper_file
+from qdgrasp_assets.grippers.hand_model import are_deep
 from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts
-from qdgrasp_assets.object_shape import ObjectShape, file_shape, is_in_catalog, shape_of
-from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject
+from qdgrasp_assets.object_shape import FARTHEST, ObjectShape, file_shape, is_in_catalog, shape_of
+from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject, Vector
 from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
-from qdgrasp_protocol.errors import AssetError, UnknownName
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import MAX_CONTACT_SLOTS
 from qdgrasp_protocol.spec import RunSpec
 
@@ -42,21 +50,39 @@ class CatalogEntry:
         return self.source != ABSENT
 
 
-def build_scene(spec: RunSpec, tell: Tell = ignore_progress) -> Scene:
+def build_scene(spec: RunSpec, tell: Tell = ignore_progress, known: ObjectShape | None = None) -> Scene:
     """Build the scene of a run's spec; the same spec and files give the same bits.
 
-    The shape of a mesh file is taken from the store on the disk where it is there. `tell` is called with a
-    sentence before each slow step. Raises `UnknownName` for a gripper or object that is neither known nor a
-    file, and `AssetError` where one of its files cannot be used.
+    The shape of a mesh file is `known`, or taken from the store on the disk where it is there. `tell` is
+    called with a sentence before each slow step. Raises `UnknownName` for a gripper or object that is neither
+    known nor a file, and `AssetError` where one of its files cannot be used.
     """
-    gripper_path(spec.gripper)  # an unknown hand is reported first
-    check_object(spec.object)  # before the hand is read, which takes longer
-    return _scene(spec, carried_hand(spec), *_facts_and_shape(spec, tell))
-
-
-def assemble_scene(spec: RunSpec, shape: ObjectShape) -> Scene:
-    """Assemble the scene of a spec, a mesh file of this shape; errors of `build_scene`."""
-    return _scene(spec, carried_hand(spec), file_facts(spec), shape)
+    if known is None:
+        gripper_path(spec.gripper)  # an unknown hand is reported first
+        check_object(spec.object)  # before the hand is read, which takes longer
+    hand, (facts, shape) = carried_hand(spec), _facts_and_shape(spec, tell, known)
+    geometry = structs.asdict(shape)
+    return Scene(
+        protocol=spec.protocol,
+        base=spec.base,
+        engine=spec.engine,
+        gripper=hand,
+        object=SceneObject(
+            name=facts.name,
+            source=facts.source,
+            licence=facts.licence,
+            mass=facts.mass,
+            lateral_friction=facts.lateral_friction,
+            rolling_friction=ROLLING_FRICTION,
+            spinning_friction=SPINNING_FRICTION,
+            **{key: each for key, each in geometry.items() if key in SceneObject.__struct_fields__},
+        ),
+        **{key: each for key, each in geometry.items() if key in Scene.__struct_fields__},
+        contact_slots=min(MAX_CONTACT_SLOTS, CONTACTS_PER_FINGER_LINK * len(hand.finger_links)),
+        approach_distance=spec.approach,
+        resting_poses=tuple(chosen_resting_poses(shape.collision, spec.table_pose, spec.object).values()),
+        neighbours=neighbour_parts(spec, shape),
+    )
 
 
 def carried_hand(spec: RunSpec) -> SceneGripper:
@@ -67,49 +93,89 @@ def carried_hand(spec: RunSpec) -> SceneGripper:
     return hand
 
 
-def _scene(spec: RunSpec, hand: SceneGripper, facts: ObjectFacts, shape: ObjectShape) -> Scene:
-    return Scene(
-        protocol=spec.protocol,
-        base=spec.base,
-        engine=spec.engine,
-        gripper=hand,
-        object=SceneObject(
-            name=facts.name,
-            source=facts.source,
-            licence=facts.licence,
-            collision_source=shape.collision_source,
-            mass=facts.mass,
-            lateral_friction=facts.lateral_friction,
-            rolling_friction=ROLLING_FRICTION,
-            spinning_friction=SPINNING_FRICTION,
-            com_in_mesh=shape.com_in_mesh,
-            collision=shape.collision,
-            mesh_vertices=shape.mesh_vertices,
-            mesh_faces=shape.mesh_faces,
-        ),
-        points=shape.points,
-        normals=shape.normals,
-        finder_low=shape.finder_low,
-        finder_high=shape.finder_high,
-        object_low=shape.object_low,
-        object_high=shape.object_high,
-        contact_slots=min(MAX_CONTACT_SLOTS, CONTACTS_PER_FINGER_LINK * len(hand.finger_links)),
-        approach_distance=spec.approach,
-        resting_poses=tuple(chosen_resting_poses(shape.collision, spec.table_pose, spec.object).values()),
-    )
-
-
 def object_shape(spec: RunSpec) -> ObjectShape:
     """Return the shape of a spec's object, for any gripper; errors of `build_scene`."""
     check_object(spec.object)
-    return _facts_and_shape(spec, ignore_progress)[1]
+    return _facts_and_shape(spec)[1]
 
 
-def _facts_and_shape(spec: RunSpec, tell: Tell) -> tuple[ObjectFacts, ObjectShape]:
+def _facts_and_shape(
+    spec: RunSpec, tell: Tell = ignore_progress, known: ObjectShape | None = None
+) -> tuple[ObjectFacts, ObjectShape]:
     if is_in_catalog(spec.object):
         target = find_object(spec)
         return target, shape_of(target, spec.protocol, spec.surface_seed)
-    return file_facts(spec), file_shape(spec, tell)
+    return file_facts(spec), known or file_shape(spec, tell)
+
+
+OVERLAPPING = 1e-3  # Depth from which a body overlaps the object, and does not only touch it [m]
+PROTOCOLS = ("physical", "lift")
+Side = Annotated[float, Meta(gt=0, le=FARTHEST)]
+Place = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
+
+
+class Body(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A fixed body, of one of three kinds, placed in the frame of the object's mesh."""
+
+    mesh: str | None = None
+    """A mesh file; a relative path begins in the folder of the scene's file."""
+    object: str | None = None
+    """An object of the catalog, in the frame of its mesh."""
+    box: tuple[Side, Side, Side] | None = None
+    """Sides of a box around its own origin [m]."""
+    scale: float | None = None
+    """Metres to a unit of the mesh file; None: 1."""
+    position: tuple[Place, Place, Place] = (0.0, 0.0, 0.0)
+    """Place of its origin [m]."""
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """Its rotation, xyzw, of any length; zeros: `rpy` is taken."""
+    rpy: Vector = (0.0, 0.0, 0.0)
+    """Its rotation about the fixed axes x, then y, then z [rad]."""
+
+    def placed(self, corners: Floats) -> Floats:
+        """Return corners (v, 3) [m] of its own frame in that of the object's mesh."""
+        turn = (
+            unit(np.array(self.quaternion)) if any(self.quaternion) else from_euler(np.array([self.rpy]))[0]
+        )
+        return np.asarray(rotate(turn, corners) + np.array(self.position))
+
+
+Bodies = Annotated[tuple[Body, ...], Meta(min_length=1, max_length=50)]
+SceneFile = Annotated[dict[Literal["body"], Bodies], Meta(min_length=1)]
+
+
+def neighbour_parts(spec: RunSpec, shape: ObjectShape) -> bytes:
+    """Return the convex parts around a spec's object as an OBJ file; empty without a scene.
+
+    They are in the CoM frame of that object, which has this shape. Raises AssetError for a file or body that
+    cannot be used, ImpossibleValue for the protocol, and errors of `build_scene` for other objects.
+    """
+    if spec.scene is None:
+        return b""
+    if spec.nominal_protocol not in PROTOCOLS:
+        raise ImpossibleValue("The protocol of a run with a scene", spec.protocol, " or ".join(PROTOCOLS))
+    path = named_path(spec.scene)
+    bodies = read_table(path, SceneFile, "scene", "docs/where.md")["body"]
+    target, around = convex_hulls(shape_corners(shape)), list[Floats]()
+    for number, body in enumerate(bodies, start=1):
+        where = f"The body {number} in '{path}'"
+        if [body.mesh, body.object, body.box].count(None) != 2:
+            raise AssetError(f"{where} must have one of mesh, object and box.")
+        name = str(path.parent / body.mesh) if body.mesh else body.object
+        other = structs.replace(spec, object=name or "", scale=body.scale, mesh=None, mass=1.0)
+        own = shape_corners(object_shape(other)) if name else [mesh.box(body.box or (1, 1, 1)).vertices]
+        placed = [body.placed(corners) for corners in own]
+        if are_deep(target, convex_hulls(placed), OVERLAPPING):
+            raise AssetError(f"{where} overlaps the object, or holds it inside; place it beside the object.")
+        around += placed
+    return mesh.parts_to_obj(mesh.hull(corners).moved(np.negative(shape.com_in_mesh)) for corners in around)
+
+
+def shape_corners(shape: ObjectShape) -> list[Floats]:
+    """Return the corners (v, 3) [m] of an object's convex parts, in the frame of its mesh."""
+    return [
+        part.vertices + np.array(shape.com_in_mesh) for part in mesh.parse_parts(shape.collision.decode())
+    ]
 
 
 def find_gripper(name: str) -> Gripper:

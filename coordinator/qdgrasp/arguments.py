@@ -49,6 +49,8 @@ class SceneArguments(TypedDict, total=False):
     resting_pose: int | Literal["any"] | None
     """How the object rests on a table that the hand comes above (`qdgrasp asset resting-poses`); "any": in
     one of these ways at least; None: there is no table."""
+    scene: str | os.PathLike[str] | None
+    """A file of the fixed bodies around the object (docs/where.md); None: there are none."""
     surface_seed: int
     """Seed of the surface points; 0."""
 
@@ -63,7 +65,7 @@ def spec_from_arguments(scene_arguments: SceneArguments, **more: Any) -> RunSpec
             raise InputError(f"qdgrasp: '{name}' is missing; say {name}=... with a name or a file.")
     given = {**scene_arguments, **more}
     values = {name: plain_number(value) for name, value in given.items() if value is not None}
-    for name in ("gripper", "object"):
+    for name in ("gripper", "object", "scene"):
         if isinstance(values.get(name), os.PathLike):
             values[name] = os.fspath(values[name])
         if name in values:

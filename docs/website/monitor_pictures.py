@@ -43,7 +43,7 @@ def main(out: Path) -> None:
         Commands(Path(home)) as commands,
     ):
         endpoint = own_endpoint()
-        run = commands.start("run", *JOB, "--out", "run", "--job", "mug", "--listen", endpoint)
+        run = commands.start("run", *JOB, "--out", "mug", "--listen", endpoint)
         watched = ("--web", "127.0.0.1:0", "--connect", endpoint, "--wait", 120)
         monitor = commands.start(*watched, module=MONITOR)
         visit = Visit(chromium, f"{address(monitor)}#job=mug", color_scheme="light")

@@ -211,9 +211,11 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     engine: EngineChoice | None = None
     """Physics engine, or two: what holds in the first is tried in the second; default bullet, else mujoco."""
     approach_distance: Annotated[float, Meta(ge=0, le=1)] | None = None
-    """Distance [m] from which the open hand comes along its approach axis; default 0, with a table 0.1."""
+    """Way [m] on which the open hand comes along its approach axis; default 0, with table or scene 0.1."""
     resting_pose: Annotated[int, Meta(ge=0, lt=MOST_RESTING_POSES)] | Literal["any"] | None = None
     """How the object rests on a table, by `qdgrasp asset resting-poses`; default: no table."""
+    scene: str | None = None
+    """A file of the fixed bodies around the object (docs/where.md); default: there are none."""
     trials: Annotated[int, Meta(ge=1, le=TRIALS + HARD_TRIALS)] | None = None
     """Trials of each success under `robust`, of given poses 20 harder ones beyond 100; default 100."""
     aim_for: AimFor | None = None
@@ -267,7 +269,7 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     @property
     def approach(self) -> float:
         """Distance from which the open hand has to come to its pose [m]; 0: it is set there."""
-        usual = 0.0 if self.table_pose is None else APPROACH_DISTANCE
+        usual = 0.0 if self.table_pose is None and self.scene is None else APPROACH_DISTANCE
         return usual if self.approach_distance is None else self.approach_distance
 
     @property

@@ -15,7 +15,7 @@ import pytest
 import trimesh
 
 from qdgrasp_assets import code_version, object_shape
-from qdgrasp_assets.catalog import assemble_scene, build_scene
+from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.object_shape import (
     ObjectShape,
     ShapeStore,
@@ -120,7 +120,7 @@ def test_a_scene_has_the_same_bytes_whether_its_shape_is_built_here_or_elsewhere
     monkeypatch.undo()
     monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "another"))
     shape = built_elsewhere(spec, tmp_path / "elsewhere")
-    assert pack_scene(assemble_scene(spec, shape)).digest == plain.digest
+    assert pack_scene(build_scene(spec, known=shape)).digest == plain.digest
 
 
 OTHERS: dict[str, Changes] = {
@@ -169,7 +169,7 @@ def test_files_that_a_mesh_names_are_part_of_its_task(tmp_path):
     assert task is not None
     assert [file.name for file in task.files] == ["mesh.gltf", "gltf_buffer_0.bin", "gltf_buffer_1.bin"]
     shape = built_elsewhere(spec, tmp_path / "elsewhere")
-    assert pack_scene(assemble_scene(spec, shape)) == pack_scene(build_scene(spec))
+    assert pack_scene(build_scene(spec, known=shape)) == pack_scene(build_scene(spec))
     content = bytearray((tmp_path / "gltf_buffer_1.bin").read_bytes())
     content[0] ^= 1
     (tmp_path / "gltf_buffer_1.bin").write_bytes(content)

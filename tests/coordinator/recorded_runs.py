@@ -53,7 +53,7 @@ def spoil_block(journal: Path, first: int) -> None:
         database.execute("UPDATE blocks SET rows = ? WHERE first = ?", (spoilt, first))
 
 
-def record(path: Path, scene: Scene, rows: Rows, **settings: Any) -> RunFolder:
+def record(path: Path, scene: Scene, rows: Rows, /, **settings: Any) -> RunFolder:
     """A run's folder with these rows; `settings` are those of its spec."""
     bundle = pack_scene(msgspec.structs.replace(scene, protocol=settings.get("protocol", "paper")))
     spec = RunSpec(**{"gripper": "jaw", "object": "block.stl", "mass": 0.1, "population": 10} | settings)

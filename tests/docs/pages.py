@@ -218,9 +218,7 @@ def service(text: str) -> str | None:
     return next((ready for pattern, ready in SERVICES.items() if re.match(pattern, text)), None)
 
 
-STANDING = (
-    "qdgrasp run --gripper panda --object mug --job mugs --workers 1 --evaluations 1000000 --out standing"
-)
+STANDING = "qdgrasp run --gripper panda --object mug --workers 1 --evaluations 1000000 --out standing/mugs"
 ASKS = r"qdgrasp (jobs|pause|continue|drain|cancel)|qdgrasp-(monitor|worker|recorder)"
 """Lines that want a job to be there."""
 

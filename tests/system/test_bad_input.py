@@ -29,6 +29,7 @@ def sentence(done) -> str:
         (("--evaluations", "-5"), ["evaluations", "-5", "at least 1"]),
         (("--method", "cma_mae", "--set", "population=500"), ["population", "15", "cma_mae", "500"]),
         (("--object", "nowhere/part.stl", "--mass", "1"), ["nowhere/part.stl"]),
+        (("--scene", "nowhere.toml"), ["No scene can be read at", "nowhere.toml"]),
     ],
 )
 def test_a_wrong_flag_is_named_with_what_exists(qdgrasp, flags, words):

@@ -31,8 +31,8 @@ class Running:
     """A run on an endpoint of its own, of which some rows are on disk."""
 
     def __init__(self, qdgrasp: Commands, *flags: object) -> None:
-        self.qdgrasp, self.endpoint, self.folder = qdgrasp, own_endpoint(), qdgrasp.home / "run"
-        command = ("run", *LONG, "--workers", 2, "--out", "run", "--job", "mugs")
+        self.qdgrasp, self.endpoint, self.folder = qdgrasp, own_endpoint(), qdgrasp.home / "mugs"
+        command = ("run", *LONG, "--workers", 2, "--out", "mugs")
         self.process = qdgrasp.start(*command, "--listen", self.endpoint, *flags)
         has_rows(self.process, self.folder, 20)
 
@@ -78,7 +78,7 @@ def test_a_job_is_seen_paused_continued_and_ends_with_the_same_digest(qdgrasp, l
     assert run.shown()["figures"]["state"] == "paused"
     assert run("continue", "mugs").out == "Job 'mugs' goes on.\n"
     end_of(run.process)
-    assert qdgrasp.digest("run") == long_digest
+    assert qdgrasp.digest("mugs") == long_digest
 
 
 @pytest.mark.slow
@@ -87,10 +87,10 @@ def test_a_cancelled_job_keeps_what_it_has_and_can_be_gone_on_with(qdgrasp, long
     with run.at_rest():
         assert "Job 'mugs' ends" in run("cancel", "mugs").out
     _, err = end_of(run.process, 1)
-    assert "Job 'mugs' was cancelled. `qdgrasp resume run` continues" in err
+    assert "Job 'mugs' was cancelled. `qdgrasp resume mugs` continues" in err
     assert rows_recorded(run.folder) >= 20
-    qdgrasp.succeed("resume", "run", "--workers", 1)
-    assert qdgrasp.digest("run") == long_digest
+    qdgrasp.succeed("resume", "mugs", "--workers", 1)
+    assert qdgrasp.digest("mugs") == long_digest
 
 
 @pytest.mark.slow

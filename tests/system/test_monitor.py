@@ -39,12 +39,12 @@ def running(qdgrasp: Commands, evaluations: int) -> Iterator[tuple[str, subproce
     """A run whose two workers are there and of which some rows are on disk, at an endpoint."""
     endpoint, there = own_endpoint(), SimpleQueue[str]()
     budget = (*SMALL, "--evaluations", evaluations)
-    command = ("run", *budget, "--workers", 2, "--out", "run", "--job", "mugs")
+    command = ("run", *budget, "--workers", 2, "--out", "mugs")
     process = qdgrasp.start(*command, "--listen", endpoint)
     with ZenohBus.connect(endpoint, PATIENCE) as bus:
         bus.watch(Keys("mugs").worker_token(), lambda key, _alive: there.put(key))
         assert len({there.get(timeout=PATIENCE) for _ in range(2)}) == 2
-    has_rows(process, qdgrasp.home / "run", 20)
+    has_rows(process, qdgrasp.home / "mugs", 20)
     yield endpoint, process
 
 
@@ -63,16 +63,16 @@ def test_a_running_job_is_seen_and_at_its_end_all_say_the_same(qdgrasp: Commands
             assert {*RunStatus.__struct_fields__} == {*job["runs"][0]}
             assert {*JobStatus.__struct_fields__} == {*job["figures"]}
             assert any(event["kind"] == "worker" for event in job["events"])
-            assert job["meta"]["identity"] == JobFolder.open(qdgrasp.home / "run").identity != ""
+            assert job["meta"]["identity"] == JobFolder.open(qdgrasp.home / "mugs").identity != ""
         end_of(process)
         wait_for(lambda: [view.state for view in feed.views()] == ["ended"], "the end")
         (view,) = feed.views()
-    (run,), info = view.runs, qdgrasp.info("run")
+    (run,), info = view.runs, qdgrasp.info("mugs")
     assert {name: getattr(view.figures, name) for name in COUNTS} == {name: info[name] for name in COUNTS}
     for name in (*COUNTS, "robust", "grasps", "errors", "rows"):
         assert getattr(run, name) == info[name], name
     assert sum(run.outcomes.values()) == info["rows"]
-    assert run.durable == rows_recorded(qdgrasp.home / "run")
+    assert run.durable == rows_recorded(qdgrasp.home / "mugs")
 
 
 def _of_no_size(environment: Mapping[str, str]) -> dict[str, str]:

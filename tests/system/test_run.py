@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.scene_replay import clear_grasps
 from PIL import Image
 from tests.common import wait_for
 from tests.system.commands import BUDGET, Commands, rows_recorded
@@ -69,6 +70,22 @@ def test_a_run_in_mujoco_is_the_same_whatever_the_workers_and_is_verified(qdgras
     words = f"{table[0]['outcome_now']}, fitness {table[0]['fitness_now']}"
     assert report["elsewhere"] == {"bullet": words}
     assert words in qdgrasp.succeed("show", "one", "--grasp", table[0]["row"]).out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["mujoco", "bullet"])
+def test_grasps_between_boxes_on_a_table_touch_none_of_them_and_are_the_same_whatever_the_workers(
+    qdgrasp, engine
+):
+    scene = Path(__file__).parents[2] / "examples/scenes/cube-between-boxes.toml"
+    asked = ("run", "--gripper", "panda", "--object", "rubiks_cube", "--scene", scene, "--engine", engine)
+    for workers, out in ((1, "one"), (2, "two")):
+        qdgrasp.succeed(*asked, "--evaluations", 40, "--workers", workers, "--out", out)
+    assert qdgrasp.digest("one") == qdgrasp.digest("two")
+    qdgrasp.succeed("export", "one", "--format", "bundle", "--top", 20, "-o", "bundle")
+    clear = clear_grasps(qdgrasp.home / "bundle", scene)
+    assert len(clear) == 20
+    assert sum(clear) >= 19
 
 
 CUBE = ("--gripper", "panda", "--object", "rubiks_cube", "--set", "population=12", "--evaluations", 24)

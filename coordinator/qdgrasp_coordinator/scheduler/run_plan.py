@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import structs
 
 from qdgrasp_assets.asset_paths import named_path, path_problem
-from qdgrasp_assets.catalog import assemble_scene, build_scene, check_object
+from qdgrasp_assets.catalog import build_scene, check_object
 from qdgrasp_assets.genes import layout
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_assets.object_model import check_mesh
@@ -286,7 +286,8 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     Raises InputError if a key, value or name is not valid, or not with this method; valid ones are named.
     """
     spec = complete_spec(values, where)
-    return structs.replace(spec, gripper=absolute_asset(spec.gripper), object=absolute_asset(spec.object))
+    files = {key: absolute_asset(getattr(spec, key)) for key in ("gripper", "object", "scene")}
+    return structs.replace(spec, **files)
 
 
 def complete_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
@@ -341,7 +342,7 @@ def prepare_scene(
     `tell` is called with a sentence before each slow step. Raises InputError if it cannot be built, or the
     method's prior is not for such a hand.
     """
-    scene = assemble_scene(spec, shape) if shape else build_scene(spec, tell)
+    scene = build_scene(spec, tell, shape)
     check_spec_poses(spec, scene.gripper, row_shape(scene, prior_of(spec)).genes)
     return PreparedScene(scene, pack_scene(scene))
 

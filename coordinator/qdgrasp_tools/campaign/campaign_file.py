@@ -224,7 +224,7 @@ def _resolved(values: dict[str, Any], stand_ins: dict[str, None] | None) -> dict
         return name
 
     resolved = dict(values)
-    for key, act in (("gripper", absolute_asset), ("object", taken)):
+    for key, act in (("gripper", absolute_asset), ("object", taken), ("scene", absolute_asset)):
         if key in values:
             value = values[key]
             resolved[key] = [act(one) for one in value] if isinstance(value, list) else act(value)

@@ -61,7 +61,7 @@ def extend_run(folder: RunFolder, **goals: float) -> None:
 TASK_NAME = re.compile(r"'mesh\.\w+'")  # The name of a mesh where its shape is built
 SCENE_KEYS = (
     *("gripper", "object", "mass", "scale", "friction", "mesh", "about"),
-    *("protocol", "base", "engine", "surface_seed", "approach_distance", "resting_pose"),
+    *("protocol", "base", "engine", "surface_seed", "approach_distance", "resting_pose", "scene"),
 )
 """The keys of a spec that its scene depends on."""
 

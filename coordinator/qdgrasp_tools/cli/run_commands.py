@@ -63,7 +63,7 @@ HAND = "gripper"  # Folder of a run with the guessed file of its hand
 
 @options.spec_flags(
     "gripper", "object", "mass", "units", "mesh", "method", "aim_for", "diversity", "seed", "protocol",
-    "engine", "resting_pose", "evaluations", "grasps",
+    "engine", "resting_pose", "scene", "evaluations", "grasps",
 )  # fmt: skip
 def run(
     keys: dict[str, Any],
@@ -75,7 +75,6 @@ def run(
         Path | None, typer.Option(help="Run folder; default: one in runs, named after what it is.")
     ] = None,
     workers: options.Workers = None,
-    job: options.Job = None,
     listen: options.Listen = None,
     security: cli_support.SecurityOption = None,
     insecure: cli_support.InsecureOption = False,
@@ -100,7 +99,7 @@ def run(
     if weighed.mass != asked.mass:
         echo(f"mass       {weighed.mass} kg, at {run_plan.USUAL_DENSITY:g} kg/m3 (--mass)")
     if not options.is_robot_file(asked.gripper):
-        start_run(weighed, place, config, job)
+        start_run(weighed, place, config)
         return
     with TemporaryDirectory(prefix="qdgrasp-") as folder:
         name = Path(HAND, Path(asked.gripper).with_suffix(".toml").name)
@@ -109,7 +108,7 @@ def run(
         made = (file for file in Path(folder).rglob("*") if file.is_file())
         files = {str(file.relative_to(folder)): file.read_bytes() for file in made}
     guessed = msgspec.structs.replace(weighed, gripper=str((place / name).absolute()))
-    start_run(guessed, place, config, job, files, prepared)
+    start_run(guessed, place, config, more=files, prepared=prepared)
 
 
 def start_run(
