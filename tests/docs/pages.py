@@ -218,7 +218,7 @@ def service(text: str) -> str | None:
     return next((ready for pattern, ready in SERVICES.items() if re.match(pattern, text)), None)
 
 
-STANDING = "qdgrasp run --gripper panda --object mug --workers 1 --evaluations 1000000 --out standing/mugs"
+STANDING = "qdgrasp run --gripper panda --object mug --workers 1 --evaluations 1000000 --out standing"
 ASKS = r"qdgrasp (jobs|pause|continue|drain|cancel)|qdgrasp-(monitor|worker|recorder)"
 """Lines that want a job to be there."""
 
@@ -315,7 +315,7 @@ class PageRun:
         for place, security in ((self.places["tcp"], ""), (self.places["tls"], "--security security")):
             is_asked = any(re.match(ASKS, text) and place in text for text in texts)
             if is_asked and not any(f"--listen {place}" in text for text in texts):
-                jobs.append(self._start(f"{STANDING}-{len(self._started)} --listen {place} {security}"))
+                jobs.append(self._start(f"{STANDING}-{len(self._started)}/mugs --listen {place} {security}"))
         for job in jobs:
             job.says(r"listening on(.|\n)* [1-9]\d* workers?")
         return jobs
