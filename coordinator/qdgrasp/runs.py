@@ -20,11 +20,11 @@ from qdgrasp_protocol.errors import check_packages
 from qdgrasp_protocol.rows import Layout, Outcome, Rows
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.campaign_folder import open_campaign
-from qdgrasp_tools.campaign.summaries import RunSummary, run_summary
 from qdgrasp_tools.export.grasp_reader import ALL_FAILURES, GraspChoice, choose_grasps, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import arrow_table, frame_of, load_pandas
 from qdgrasp_tools.export.tabular import SAMPLE_ROWS
+from qdgrasp_tools.report.row_report import RunSummary, run_summary
 
 
 class Run:

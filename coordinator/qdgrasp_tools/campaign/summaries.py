@@ -12,10 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import field, structs
+from msgspec import structs
 
-from qdgrasp_assets.grippers.hand_model import coupling_error
-from qdgrasp_coordinator.metrics.cells import niches
 from qdgrasp_coordinator.metrics.job_status import (
     MOST_NAMES,
     JobEvent,
@@ -23,143 +21,16 @@ from qdgrasp_coordinator.metrics.job_status import (
     ObjectState,
     RunListing,
 )
-from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunCounter, RunTotals
-from qdgrasp_coordinator.metrics.success_metrics import (
-    Diversity,
-    EtaSummary,
-    NuSummary,
-    SuccessMetrics,
-    diversity,
-)
-from qdgrasp_coordinator.metrics.successes import TrialPlan, find_successes
-from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares
+from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.outputs import CAMPAIGN, SKIPPED
-from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import UnknownName
-from qdgrasp_protocol.rows import Outcome
-from qdgrasp_protocol.spec import DEFAULT_ENGINE, RunSpec
+from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import aligned_text, counted
 from qdgrasp_tools.campaign.campaign_file import read_campaign
 from qdgrasp_tools.campaign.campaign_folder import campaign_progress
 from qdgrasp_tools.campaign.object_library import SkippedObject, read_skip_report
-from qdgrasp_tools.report.row_report import genome_reader
-
-FIRST_FIELDS = (
-    *("run", "gripper", "object", "scale", "method", "aim_for"),
-    *("told_apart_by", "protocol", "engine", "seed", "overlaps_mode"),
-    *("evaluations", "budget", "rows", "trials"),
-)
-"""Figures that a table begins with."""
-
-
-class RunSummary(RunListing, frozen=True, kw_only=True):
-    """The figures of a run."""
-
-    scale: float = 1.0
-    """Metres to a unit of the object's mesh file."""
-    aim_for: str = ""
-    """Objective of a method that has one; empty: none, or `touch` in runs recorded without it."""
-    told_apart_by: str = ""
-    """Diversity that the search looked for, `position`, `orientation` or `contact`; empty: no objective."""
-    engine: str = DEFAULT_ENGINE
-    """The physics engine."""
-    overlaps_mode: str
-    """Mode of counting overlaps, `count` or `redraw`."""
-    diversity: Diversity
-    """Niches of position, orientation and synergy with a success."""
-    qd_score: float
-    """Best fitness in each of these cells, summed; fitness as the search gets it."""
-    success_share: float | None
-    """`successes` over `evaluations`, 0 to 1; None before the first evaluation."""
-    mean_fitness: float | None
-    """Mean fitness of all successes; None without one."""
-    nu: NuSummary
-    """Lean of successes from the surface normal."""
-    eta: EtaSummary | None
-    """Estimated probability that successes transfer; None where the protocol has no trials."""
-    cpu_seconds: float
-    wall_seconds: float
-    complete: bool
-    collision_source: str
-    """Source of the object's convex parts."""
-    coupling_error: float | None
-    """Farthest that a coupled joint is from its place in grasps that hold [rad or m]; None: there is none."""
-    platform: dict[str, str]
-    in_both: dict[str, HeldShare] = field(default_factory=dict)
-    """Of grasps that hold, how many do so in another engine too, by its name, where the run has a table."""
-    rows_by_host: dict[str, int] = field(default_factory=dict)
-    """Rows that the workers of each host made."""
-
-    @property
-    def words(self) -> str:
-        """One sentence for a person."""
-        evaluations = counted(self.evaluations, "evaluation")
-        return (
-            f"{evaluations} of {self.method} with {self.gripper} on {self.object}: "
-            f"{self.found}, {counted(self.grasps, 'grasp')}, {self.robust} robust; {self.screened}."
-        )
-
-    @property
-    def table(self) -> str:
-        """All figures, one to a line."""
-        values = dict.fromkeys(FIRST_FIELDS, "") | structs.asdict(self)
-        platform, _ = values.pop("platform"), values.pop("outcomes")
-        values["diversity"], values["nu"] = self.diversity.words, self.nu.words
-        values["eta"] = None if self.eta is None else self.eta.words
-        shares, hosts = values.pop("in_both"), values.pop("rows_by_host")
-        lines = [f"{name.replace('_', ' '):<16} {_text(value)}" for name, value in values.items()]
-        lines += [f"{f'in {name} too':<16} {share.words}" for name, share in shares.items()]
-        lines += [f"{'made on':<16} {host}: {counted(rows, 'row')}" for host, rows in hosts.items()]
-        lines += [f"{'platform':<16} {name} {value[:24]}" for name, value in sorted(platform.items())]
-        return "\n".join(lines)
-
-
-def run_summary(folder: RunFolder) -> RunSummary:
-    """Count what is in a run's folder, also while the run goes on."""
-    spec = folder.spec
-    with folder.journal() as journal:
-        plan, found, reader = TrialPlan.of(spec), RunCounter(spec), genome_reader(folder)
-        metrics, keys, outcomes = SuccessMetrics(plan), [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)]
-        scene = folder.scene()
-        postures = [np.zeros((0, len(scene.gripper.joints)), np.float32)]
-        for part in find_successes(found.counting(journal.blocks()), plan):
-            metrics.add(part)
-            keys.append(niches(part.rows, reader))
-            outcomes.append(part.rows["outcome"])
-            postures.append(part.rows["joints"][outcomes[-1] == Outcome.HELD])
-        totals, hosts = found.totals, Counter[str]()
-        for _, n, _, host in journal.makers():
-            hosts[host] += n
-        return RunSummary(
-            **structs.asdict(RunListing.of(journal.run, journal.scene, found)),
-            scale=spec.scale or 1.0,
-            aim_for=spec.aim_for or "",
-            told_apart_by=spec.diversity or ("position" if spec.aim_for else ""),
-            engine=spec.engine or DEFAULT_ENGINE,
-            overlaps_mode=spec.overlaps,
-            diversity=diversity(np.concatenate(keys), np.concatenate(outcomes)),
-            qd_score=metrics.qd_score,
-            success_share=totals.successes / totals.evaluations if totals.evaluations else None,
-            mean_fitness=metrics.mean_fitness,
-            nu=metrics.nu,
-            eta=metrics.eta,
-            cpu_seconds=journal.cpu_seconds,
-            wall_seconds=journal.wall_seconds,
-            complete=found.finished is not None,
-            collision_source=scene.object.collision_source,
-            coupling_error=coupling_error(scene.gripper, np.concatenate(postures)),
-            platform=journal.platform,
-            in_both=held_shares(folder),
-            rows_by_host=dict(hosts.most_common()),
-        )
-
-
-def _text(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.1f}" if value >= 10 else f"{value:.3g}"
-    return "none" if value is None else str(value)
-
+from qdgrasp_tools.report.row_report import report_table
 
 LITTLE_SHARE = 0.1
 """An object got little with less than this share of the median object's grasps or cells, for each run."""
@@ -357,13 +228,12 @@ COLUMNS: dict[str, Callable[[ObjectListing], object]] = {
     "note": lambda one: one.note,
 }
 """Columns of the table as text."""
-LEFT_ALIGNED = ("object", "state", "note")
 
 
 def table_lines(listings: Sequence[ObjectListing]) -> list[str]:
     """Return the table as text: a line with the names of columns, and one for each object."""
     cells = [[str(text(each)) for text in COLUMNS.values()] for each in listings]
-    left = [list(COLUMNS).index(name) for name in LEFT_ALIGNED]
+    left = [list(COLUMNS).index(name) for name in ("object", "state", "note")]
     return aligned_text([list(COLUMNS), *cells], left).splitlines()
 
 
@@ -394,18 +264,14 @@ class CampaignSummary(RunTotals, frozen=True, kw_only=True):
     def table(self) -> str:
         """All counts, one to a line."""
         values = dict.fromkeys(CAMPAIGN_FIELDS, "") | structs.asdict(self)
-        reasons, states = values.pop("reasons"), values.pop("states")
-        ended = values.pop("ended")
-        little = values.pop("little")
-        lines = [f"{name.replace('_', ' '):<16} {value}" for name, value in values.items()]
-        lines += [f"{'ended':<16} {count}: {reason}" for reason, count in ended.items()]
-        lines += [f"{'left out':<16} {count}: {reason}" for reason, count in reasons.items()]
-        lines.append(f"{'objects by state':<16} {', '.join(f'{n} {state}' for state, n in states.items())}")
-        lines.append(f"{'got little':<16} {len(little)}")
-        lines += [f"  {words}" for words in little[:LEAST_NAMED]]
-        if len(little) > LEAST_NAMED:
-            lines.append(f"  and {len(little) - LEAST_NAMED} more, which --objects lists")
-        return "\n".join(lines)
+        ended, reasons, states, little = map(values.pop, ("ended", "reasons", "states", "little"))
+        values["ended"] = [f"{count}: {reason}" for reason, count in ended.items()]
+        values["left_out"] = [f"{count}: {reason}" for reason, count in reasons.items()]
+        values["objects_by_state"] = ", ".join(f"{n} {state}" for state, n in states.items())
+        more = len(little) - LEAST_NAMED
+        named = [f"and {more} more, which --objects lists"] if more > 0 else []
+        values["got_little"] = [str(len(little)), *little[:LEAST_NAMED], *named]
+        return report_table(values)
 
 
 DIGITS = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?|'[^']*'")

@@ -5,7 +5,6 @@ Also how these and `qdgrasp gripper` print what a check found, and where they dr
 
 import json
 import shlex
-from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +18,7 @@ from qdgrasp_assets.asset_report import AssetReport, inspect_object
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.mesh_io import WRITABLE_FORMATS, scale_in_words, to_bytes
 from qdgrasp_assets.grippers.gripper import Gripper
-from qdgrasp_assets.object_model import ObjectDraft, ObjectModel, file_facts, geometry_of, read_draft
+from qdgrasp_assets.object_model import ObjectModel, file_facts, geometry_of, read_draft
 from qdgrasp_assets.object_shape import is_in_catalog
 from qdgrasp_assets.ycb import YCB_HOME, YCB_TERMS, WrongScan, fetch_scan
 from qdgrasp_coordinator.storage.outputs import OutFile
@@ -197,8 +196,16 @@ def check_object(
     draft = read_draft(path, metres, prepared)
     found = inspect_object(draft, file, scale=metres, mass=mass, glued=glued, parts=not no_parts)
     print_findings(found, as_json=as_json)
-    for line in _made(found, draft, path, picture, writing):
-        echo(line, err=as_json)
+    if picture is not None:
+        shown: Mesh | ObjectModel = draft.mesh
+        if found.values.get("convex"):
+            facts = file_facts(RunSpec(gripper="", object=str(path), mass=1.0))
+            shown = ObjectModel(**vars(facts), **vars(geometry_of(draft)))
+        echo(f"drawn: {draw_asset(shown, path.name, picture)}", err=as_json)
+    if writing is not None and not found.faults:
+        writing.write(to_bytes(draft.mesh, writing.path.suffix))
+        triangles = counted(len(draft.mesh.faces), "triangle")
+        echo(f"written: {writing.path}, in metres, with {triangles}", err=as_json)
     refuse_faulty("object", found)
     if repaired is not None:
         file, metres, prepared = str(repaired), None, MeshPreparation(glued=glued)
@@ -206,21 +213,3 @@ def check_object(
     size = "" if metres is None else f" {scale_in_words(metres)}"
     weight = f" --mass {'KG' if mass is None else f'{mass:g}'}{f' --mesh {changes}' if changes else ''}"
     echo(f"next: qdgrasp run --gripper panda --object {shlex.quote(file)}{size}{weight}", err=as_json)
-
-
-def _made(
-    found: AssetReport, draft: ObjectDraft, path: Path, drawing: Path | None, writing: OutFile | None
-) -> Iterator[str]:
-    if drawing is not None:
-        yield f"drawn: {_drawn(found, draft, path, drawing)}"
-    if writing is not None and not found.faults:
-        writing.write(to_bytes(draft.mesh, writing.path.suffix))
-        yield f"written: {writing.path}, in metres, with {counted(len(draft.mesh.faces), 'triangle')}"
-
-
-def _drawn(found: AssetReport, draft: ObjectDraft, path: Path, folder: Path) -> Path:
-    if not found.values.get("convex"):
-        return draw_asset(draft.mesh, path.name, folder)
-    facts = file_facts(RunSpec(gripper="", object=str(path), mass=1.0))
-    body = ObjectModel(**vars(facts), **vars(geometry_of(draft)))
-    return draw_asset(body, path.name, folder)

@@ -21,17 +21,12 @@ from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EXTRAS, InputError, check_packages
 from qdgrasp_protocol.process import lifetime
 from qdgrasp_protocol.text import aligned_text, printable
-from qdgrasp_tools.campaign.summaries import (
-    campaign_objects,
-    campaign_summary,
-    run_summary,
-    table_lines,
-)
+from qdgrasp_tools.campaign.summaries import campaign_objects, campaign_summary, table_lines
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.options import host_and_port
 from qdgrasp_tools.local.progress import progress_display
 from qdgrasp_tools.local.supervisor import LocalJobConfig
-from qdgrasp_tools.report.row_report import report_table, row_report
+from qdgrasp_tools.report.row_report import report_table, row_report, run_summary
 from qdgrasp_tools.verification.comparison import VerificationReport
 from qdgrasp_tools.verification.verify import (
     EngineComparison,

@@ -30,11 +30,10 @@ from qdgrasp_protocol.spec import (
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_folder import extend_run
 from qdgrasp_tools.campaign.ranking import write_ranking
-from qdgrasp_tools.campaign.summaries import run_summary
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import ProgressDisplay, progress_display, progress_messages
 from qdgrasp_tools.local.supervisor import LocalJobConfig, Supervisor, check_engines, score_genomes
-from qdgrasp_tools.report.row_report import genome_reader
+from qdgrasp_tools.report.row_report import genome_reader, run_summary
 from qdgrasp_tools.verification.wrong_rows import take_errors_back
 
 

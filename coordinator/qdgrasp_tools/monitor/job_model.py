@@ -280,6 +280,7 @@ class JobModel:
         """
         if self.meta is None or self.figures is None:
             return None
+        ranks = {state: rank for rank, state in enumerate(WORKER_STATES)}
         return JobView(
             job=self.name,
             state=self.state(now, is_linked=is_linked),
@@ -287,14 +288,10 @@ class JobModel:
             meta=self.meta,
             figures=self.figures,
             runs=list(self._runs.values()),
-            workers=sorted(self._workers, key=lambda each: (_rank(each), each.host, each.pid)),
+            workers=sorted(self._workers, key=lambda each: (ranks.get(each.state, 0), each.host, each.pid)),
             events=[self._events[key] for key in sorted(self._events)],
             history=self._history.series,
         )
-
-
-def _rank(worker: WorkerStatus) -> int:
-    return WORKER_STATES.index(worker.state) if worker.state in WORKER_STATES else 0
 
 
 class JobModels:

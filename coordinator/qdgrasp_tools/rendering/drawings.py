@@ -1,6 +1,5 @@
 """Draws PNG files of hands, objects and meshes from two sides; axes and bars of views."""
 
-from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import BinaryIO
@@ -15,13 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.geometry.mesh_repair import MeshEdges
-from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
+from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.object_model import ObjectModel
 from qdgrasp_assets.scene import SceneGripper
 from qdgrasp_tools.rendering.ray_renderer import (
     FIELD,
     RAYS_PER_PIXEL,
-    Floats,
     LayeredImage,
     ParallelCamera,
     RayMesh,
@@ -31,6 +29,7 @@ from qdgrasp_tools.rendering.views import (
     CLAY,
     ELEVATION,
     FINGER_HUES,
+    PaintedMesh,
     RenderedView,
     paint_solid,
     rgb,
@@ -85,7 +84,6 @@ CLOSE_TOGETHER = 0.01  # Least width of the view of an object [m]
 OPEN_EDGE_COLOUR = "#d62728"
 STANDOFF_COLOUR = "#aa3377"
 
-PaintedMesh = tuple[Mesh, Floats]  # A mesh and its colour (3,)
 Point3 = NDArray[np.floating]
 
 
@@ -102,7 +100,14 @@ def draw_gripper(gripper: SceneGripper, path: Path | BinaryIO) -> None:
         "open": [joint.opened for joint in gripper.joints],
         "closed": [joint.closed for joint in gripper.joints],
     }
-    panels = {name: _painted_links(hand, upright, joints) for name, joints in postures.items()}
+    root = np.concatenate([np.zeros(3), upright.as_quat()])
+    panels = {
+        name: [
+            (Mesh(vertices, shape.faces), rgb(FINGER_HUES[0] if hand.is_finger(shape) else CLAY))
+            for shape, vertices in hand.place_meshes(root, np.array(joints))
+        ]
+        for name, joints in postures.items()
+    }
     words = (
         f"frame: base link {gripper.base_link}; arrow: from the palm, {gripper.palm_offset:g} m along the "
         f"approach axis, to the greatest stand-off{'; bar: the jaw' if gripper.jaw else ''}"
@@ -167,14 +172,6 @@ def project_point(camera: ParallelCamera, point: Point3) -> tuple[float, float]:
     """Return the column and row of the finished image at which a point (3,) lies."""
     right, up = (camera.project(point[None])[0, :2] - camera.low) / (camera.step * RAYS_PER_PIXEL)
     return float(right), float(camera.rows / RAYS_PER_PIXEL - up)
-
-
-def _painted_links(hand: HandGeometry, upright: Rotation, joints: Sequence[float]) -> list[PaintedMesh]:
-    pose = np.concatenate([np.zeros(3), upright.as_quat()])
-    return [
-        (Mesh(vertices, shape.faces), rgb(FINGER_HUES[0] if hand.is_finger(shape) else CLAY))
-        for shape, vertices in hand.place_meshes(pose, np.array(joints))
-    ]
 
 
 def _size_words(mesh: Mesh) -> str:

@@ -4,7 +4,7 @@ The light is a sky of distant lamps, brighter over the viewer's left shoulder. S
 behind them, translucent ones do not.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,14 +35,6 @@ class ParallelCamera:
     """Distance of neighbouring points of the image [m]."""
     rows: int
     columns: int
-    away: float = FAR
-    """Distance of the eye's plane from the origin [m]."""
-
-    def in_frame(self, frame: NDArray[np.floating]) -> "ParallelCamera":
-        """Return the camera as it is seen from a body's frame (4, 4); depths are the same."""
-        right, up, toward = self.axes @ frame[:3, 3].astype(np.float32)
-        axes = np.asarray(self.axes @ frame[:3, :3].astype(np.float32))
-        return replace(self, axes=axes, low=self.low - [right, up], away=float(self.away - toward))
 
     def project(self, points: NDArray[np.floating]) -> Floats:
         """Return components of points (n, 3) to the right, up and toward the eye [m]."""
@@ -63,7 +55,7 @@ class ParallelCamera:
         eye = np.empty((len(pixels), 3), dtype=np.float32)
         eye[:, 0] = self.low[0] + (column + np.float32(0.5)) * np.float32(self.step)
         eye[:, 1] = self.low[1] + (self.rows - row - np.float32(0.5)) * np.float32(self.step)
-        eye[:, 2] = self.away
+        eye[:, 2] = FAR
         return np.asarray(eye @ self.axes)
 
 
@@ -139,13 +131,6 @@ class RayMesh:
         normals = unit_vectors((1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2])
         return RayHits(pixels[hit], depth, starts[hit] + depth[:, None] * ray, normals, faces)
 
-    def is_lit_from(self, points: Floats, direction: Floats) -> NDArray[np.bool_]:
-        """Flag points (n, 3) that it does not hide from a light far away in a direction (3,)."""
-        free: NDArray[np.bool_] = (
-            self.rays.run(points, np.broadcast_to(direction, points.shape).copy(), query="OCCLUDED") < 0
-        )
-        return free
-
 
 def corner_normals(mesh: Mesh) -> Floats:
     """Return the normal at each corner of each triangle: (f, 3, 3).
@@ -198,7 +183,8 @@ def shadowed_light(hits: RayHits, solid: RayMesh, camera: ParallelCamera) -> Flo
     for lamp, brightness in zip(*sky_lamps(camera), strict=True):
         slant = hits.normals @ lamp
         facing = np.flatnonzero(slant > 0)
-        free = solid.is_lit_from(lifted[facing], lamp)
+        rays = np.broadcast_to(lamp, (len(facing), 3)).copy()
+        free = solid.rays.run(lifted[facing], rays, query="OCCLUDED") < 0
         light[facing] += brightness * slant[facing] * free
     return light
 

@@ -2,7 +2,7 @@
 
 import io
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import cycle
@@ -54,14 +54,8 @@ CUT_OPEN_CELLS = 600
 """With more cells, those toward the viewer's right are left out to show the inside."""
 
 
-@dataclass(frozen=True)
-class DrawnLink:
-    """One shape of a hand that is drawn."""
-
-    mesh: Mesh
-    hue: Floats
-    """(3,) RGB."""
-    is_finger: bool
+PaintedMesh = tuple[Mesh, Floats]  # A mesh and its colour (3,)
+Poses = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -105,12 +99,23 @@ def view_of_hands(scene: Scene, rows: Rows, azimuth: float, pixels: int) -> Rend
 def _image_of_hands(
     scene: Scene, rows: Rows, azimuth: float, elevation: float, size: tuple[int, int]
 ) -> LayeredImage:
-    body, links = scene.object.mesh, list(_links(scene, settled_poses(rows), rows["joints"]))
-    points = np.concatenate([body.vertices, *(link.mesh.vertices for link in links)])
+    body, hand = scene.object.mesh, hand_geometry(scene.gripper)
+    links = [
+        (Mesh(vertices, shape.faces), hue, hand.is_finger(shape))
+        for hue, pose, posture in zip(
+            cycle(map(rgb, FINGER_HUES)), settled_poses(rows), rows["joints"], strict=False
+        )
+        for shape, vertices in hand.place_meshes(pose, posture.astype(float))
+    ]
+    points = np.concatenate([body.vertices, *(mesh.vertices for mesh, *_ in links)])
     image = LayeredImage(fit_camera(points, azimuth, elevation, size))
     paint_solid(image, RayMesh(body), rgb(CLAY))
-    for link in links:
-        paint_link(image, link)
+    for mesh, hue, is_finger in links:
+        hits = RayMesh(mesh).cast_from(image.camera)  # fingers nearly solid, the palm like glass
+        edge = (1 - np.abs(hits.normals @ image.camera.axes[2])) ** 2
+        shaded = hue * (0.5 + 0.55 * soft_light(hits.normals, image.camera)[:, None])
+        paler, opacity = (0.2, 0.85 + 0.1 * edge) if is_finger else (0.35, 0.08 + 0.34 * edge)
+        image.add_translucent(hits, np.clip(shaded + (1 - shaded) * paler, 0, 1), opacity)
     return image
 
 
@@ -147,14 +152,6 @@ def best_in_cells(successes: Rows) -> Rows:
     return ordered[first]
 
 
-def _links(scene: Scene, poses: NDArray[np.floating], joints: NDArray[np.floating]) -> Iterator[DrawnLink]:
-    """Yield the shapes of hands at `poses` (n, 7) with `joints` (n, j), each hand in a colour."""
-    hand = hand_geometry(scene.gripper)
-    for hue, pose, posture in zip(cycle(map(rgb, FINGER_HUES)), poses, joints, strict=False):
-        for shape, vertices in hand.place_meshes(pose, posture.astype(float)):
-            yield DrawnLink(Mesh(vertices, shape.faces), hue, hand.is_finger(shape))
-
-
 def paint_solid(image: LayeredImage, solid: RayMesh, colour: Floats) -> None:
     """Paint a solid in one colour (3,) or one for each face (f, 3), with its own shadows."""
     hits = solid.cast_from(image.camera)
@@ -163,23 +160,11 @@ def paint_solid(image: LayeredImage, solid: RayMesh, colour: Floats) -> None:
     image.add_solid(hits, np.clip(base * light[:, None], 0, 1))
 
 
-def paint_body(
-    image: LayeredImage, body: RayMesh, frame: NDArray[np.floating], colour: Floats, *, is_flat: bool = False
-) -> None:
-    """Paint a solid at `frame` (4, 4) without shadows; `is_flat`: all in one colour (3,)."""
-    camera = image.camera.in_frame(frame)
-    hits = body.cast_from(camera)
-    light = np.ones(len(hits.pixels)) if is_flat else 0.35 + 0.75 * soft_light(hits.normals, camera)
+def paint_body(image: LayeredImage, body: RayMesh, colour: Floats, *, is_flat: bool = False) -> None:
+    """Paint a solid without shadows; `is_flat`: all in one colour (3,)."""
+    hits = body.cast_from(image.camera)
+    light = np.ones(len(hits.pixels)) if is_flat else 0.35 + 0.75 * soft_light(hits.normals, image.camera)
     image.add_solid(hits, np.clip(colour * light[:, None], 0, 1).astype(np.float32))
-
-
-def paint_link(image: LayeredImage, link: DrawnLink) -> None:
-    """Paint fingers nearly solid, the palm like glass."""
-    hits = RayMesh(link.mesh).cast_from(image.camera)
-    edge = (1 - np.abs(hits.normals @ image.camera.axes[2])) ** 2
-    shaded = link.hue * (0.5 + 0.55 * soft_light(hits.normals, image.camera)[:, None])
-    paler, opacity = (0.2, 0.85 + 0.1 * edge) if link.is_finger else (0.35, 0.08 + 0.34 * edge)
-    image.add_translucent(hits, np.clip(shaded + (1 - shaded) * paler, 0, 1), opacity)
 
 
 def _cubes(places: NDArray[np.integer]) -> Mesh:
@@ -205,7 +190,6 @@ def rgb(colour: str) -> Floats:
 
 CARD_PIXELS = 320  # Width and height of a picture in a notebook
 FINGER_COLOUR = FINGER_HUES[0]
-Poses = NDArray[np.float64]
 
 
 def grasp_card(scene: Scene, row: Rows, title: str, figures: Iterable[tuple[str, str]]) -> str:

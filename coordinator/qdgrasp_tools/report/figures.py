@@ -6,7 +6,7 @@ A prior has a hue, a family of searches a line style; sizes are in inches.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
@@ -63,31 +63,22 @@ a program's own."""
 PALEST_VARIANT = 0.65  # How much white is in the palest of a method's variants
 
 
-class LineStyle(NamedTuple):
-    """Colour and dashes of a method's variant."""
-
-    colour: str
-    dashes: Dashes
-
-
-def default_prior(method: str) -> str:
-    """Return the prior of a method, as runs have it unless their spec says otherwise."""
-    return registry.method(method).prior
-
-
 def family_of(method: str) -> str:
     """Return the family of a method: its name without the prior's prefix; `own` for a program's."""
-    family = method.removeprefix(registry.PRIORS[default_prior(method)][0])
+    family = method.removeprefix(registry.PRIORS[registry.method(method).prior][0])
     return family if family in FAMILIES else "own"
 
 
-def line_styles(arms: Iterable[MethodVariant]) -> dict[MethodVariant, LineStyle]:
-    """Choose the style of each variant; of one method, each is paler than the one before."""
+def line_styles(arms: Iterable[MethodVariant]) -> dict[MethodVariant, dict[str, Any]]:
+    """Choose color and linestyle of each variant, of one method each paler than the last."""
     variants: dict[str, list[MethodVariant]] = {}
     for arm in dict.fromkeys(arms):
         variants.setdefault(arm[0], []).append(arm)
     return {
-        arm: LineStyle(hue_of(method, place / max(1, len(same) - 1)), FAMILIES[family_of(method)])
+        arm: {
+            "color": hue_of(method, place / max(1, len(same) - 1)),
+            "linestyle": FAMILIES[family_of(method)],
+        }
         for method, same in variants.items()
         for place, arm in enumerate(same)
     }
@@ -95,9 +86,8 @@ def line_styles(arms: Iterable[MethodVariant]) -> dict[MethodVariant, LineStyle]
 
 def hue_of(method: str, pale: float = 0.0) -> str:
     """Return the colour of a method, from its full hue at 0 to its palest variant at 1."""
-    red, green, blue = (
-        part + (1 - part) * PALEST_VARIANT * pale for part in to_rgb(PRIOR_HUES[default_prior(method)])
-    )
+    hue = to_rgb(PRIOR_HUES[registry.method(method).prior])
+    red, green, blue = (part + (1 - part) * PALEST_VARIANT * pale for part in hue)
     return to_hex((red, green, blue))
 
 
@@ -160,8 +150,7 @@ def draw_curves(shown: Sequence[CurvePanel], title: str) -> Figure:
     """Draw a panel for each hand, with a curve for each method (the paper's first two figures)."""
     drawn = line_styles(one.arm for panel in shown for one in panel.curves)
     handles = [
-        Line2D([], [], color=colour, linestyle=dashes, linewidth=1.9, label=" ".join(arm).rstrip())
-        for arm, (colour, dashes) in drawn.items()
+        Line2D([], [], **style, linewidth=1.9, label=" ".join(arm).rstrip()) for arm, style in drawn.items()
     ]
     rows, columns = -(-len(shown) // CURVE_COLUMNS), min(len(shown), CURVE_COLUMNS)
     figure, panels = panel_figure(rows, columns, CURVE_PANEL, f"{title}: {CURVE_WORDS}", handles)
@@ -180,9 +169,9 @@ def draw_curves(shown: Sequence[CurvePanel], title: str) -> Figure:
     return figure
 
 
-def _draw_curve(axes: Axes, panel: CurvePanel, one: QuartileCurve, style: LineStyle) -> None:
-    colour, dashes = style
-    axes.plot(one.evaluations, one.median, color=colour, linestyle=dashes, linewidth=1.9)
+def _draw_curve(axes: Axes, panel: CurvePanel, one: QuartileCurve, style: dict[str, Any]) -> None:
+    colour = style["color"]
+    axes.plot(one.evaluations, one.median, **style, linewidth=1.9)
     axes.fill_between(one.evaluations, one.low, one.high, color=colour, alpha=BAND_OPACITY, linewidth=0)
     for sample in one.samples:
         if not all(run.complete for run in sample):
@@ -224,14 +213,14 @@ def nu_distributions(groups: Sequence[RunGroup]) -> list[NuDistribution]:
     """Return the distributions of each hand's methods with the contact prior."""
     found = []
     for scene, here in grouped_by(groups, by_object=False).items():
-        arms: dict[MethodVariant, list[RunHistory]] = {}
+        arms: dict[MethodVariant, list[NDArray[np.float64]]] = {}
         for group in here:
-            if default_prior(group.method) == NU_PRIOR:
-                arms.setdefault(group.arm, []).extend(run for run in group.finished_runs if sum(run.nu.bins))
-        for arm, runs in arms.items():
-            if runs:
-                share = np.mean([np.array(run.nu.bins) / sum(run.nu.bins) for run in runs], axis=0)
-                found.append(NuDistribution(scene.gripper, arm, share, len(runs)))
+            if registry.method(group.method).prior == NU_PRIOR:
+                bins = [np.array(run.summary.nu.bins) for run in group.finished_runs]
+                arms.setdefault(group.arm, []).extend(each / each.sum() for each in bins if each.any())
+        for arm, shares in arms.items():
+            if shares:
+                found.append(NuDistribution(scene.gripper, arm, np.mean(shares, axis=0), len(shares)))
     return found
 
 
@@ -315,21 +304,17 @@ def run_voxels(groups: Sequence[RunGroup], methods: Sequence[str]) -> list[list[
     rows = []
     for scene, found in chosen.items():
         if most in ("", scene.object):
-            runs = [_median_run(found[method]) for method in methods if method in found]
-            there = [(RunFolder(run.path), run) for run in runs if RunFolder(run.path).has_bundle()]
+            there = [found[method] for method in methods if method in found]
+            ordered = [sorted(group.finished_runs, key=lambda run: run.cells.end) for group in there]
+            runs = [each[(len(each) - 1) // 2] for each in ordered]
+            folders = [(RunFolder(run.path), run) for run in runs if RunFolder(run.path).has_bundle()]
             rows.append(
                 [
                     RunVoxels(scene, run, folder.scene(), best_in_cells(folder.successes().scored))
-                    for folder, run in there
+                    for folder, run in folders
                 ]
             )
     return [row for row in rows if row]
-
-
-def _median_run(group: RunGroup) -> RunHistory:
-    """Return the run with the median number of cells; of an even number, the one below."""
-    ordered = sorted(group.finished_runs, key=lambda run: run.cells.end)
-    return ordered[(len(ordered) - 1) // 2]
 
 
 def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> Figure:
@@ -340,7 +325,11 @@ def draw_voxels(rows: Sequence[Sequence[RunVoxels]], methods: Sequence[str]) -> 
     everything = [one for row in rows for one in row]
     drawn = [method for method in methods if any(one.run.spec.method == method for one in everything)]
     title = "Where methods had successes: cells of 1 cm, by the most robust success"
-    figure, panels = panel_figure(len(rows), len(drawn), VOXEL_PANEL, title, _voxel_legend())
+    legend = [
+        Line2D([], [], linestyle="none", marker="s", markersize=8, color=to_rgb(hue), label=words)
+        for hue, words in zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)
+    ]
+    figure, panels = panel_figure(len(rows), len(drawn), VOXEL_PANEL, title, legend)
     for row, row_panels in zip(rows, panels, strict=True):
         beside = [one for one in everything if one.name.object == row[0].name.object]
         azimuth = broad_azimuth(row[0].scene)
@@ -360,10 +349,3 @@ def _draw_cells(axes: Axes, one: RunVoxels, azimuth: float, beside: Sequence[NDA
     method = one.run.spec.method
     heading = figure_text(f"{one.name.words}\n{method}\n{found}\n{run}")
     axes.set_title(heading, loc="left", size=8, color=hue_of(method))
-
-
-def _voxel_legend() -> list[Line2D]:
-    return [
-        Line2D([], [], linestyle="none", marker="s", markersize=8, color=to_rgb(hue), label=words)
-        for hue, words in zip(FITNESS_COLOURS, FITNESS_WORDS, strict=True)
-    ]

@@ -104,7 +104,8 @@ def write_report(path: Path, out: Path, references: Sequence[Path] = ()) -> Camp
         made.mkdir()
         for name, figure in figures.items():
             write_figure(figure, made / name)
-        (made / RUNS_FILE).write_text(csv_text(run_rows(groups)), encoding="utf-8")
+        rows = [_columns(each.scene, each.arm) | _run_columns(run) for each in groups for run in each.runs]
+        (made / RUNS_FILE).write_text(csv_text(rows), encoding="utf-8")
         (made / CURVES_FILE).write_text(csv_text(curve_rows([*scenes, *pooled])), encoding="utf-8")
     left_out = [name for name in FIGURES if name not in figures]
     return CampaignReport(out, groups, scenes, left_out, [run.path.absolute().name for run in copies])
@@ -141,29 +142,25 @@ def _columns(scene: SceneName, arm: tuple[str, str]) -> dict[str, Value]:
     }  # fmt: skip
 
 
-def run_rows(groups: Iterable[RunGroup]) -> list[Row]:
-    """One row for each run; shares are of S_G, robust ones of its entries of fitness 2."""
-    return [_columns(group.scene, group.arm) | _run_columns(run) for group in groups for run in group.runs]
-
-
 def _run_columns(run: RunHistory) -> dict[str, Value]:
-    counts, known = run.counts.totals, run.target.reference
+    """Return figures of a run; shares are of S_G, robust ones of its entries of fitness 2."""
+    summary, known = run.summary, run.target.reference
     size, robust = run.target.size, len(known.robust) if known else 0
     return {
         "run": run.path.name,
         "seed": run.spec.seed,
         "overlaps_mode": run.spec.overlaps,
         "finished": "yes" if run.complete else "no",
-        **{name: getattr(counts, name) for name in COUNTS},
+        **{name: getattr(summary, name) for name in COUNTS},
         "cells": run.cells.end,
         "robust_cells": run.robust_cells.end,
-        "qd_score": run.qd_score,
+        "qd_score": summary.qd_score,
         "coverage": run.found.end / size if run.found and size else None,
         "robust_coverage": run.robust_found.end / robust if run.robust_found and robust else None,
-        "nu_below_quarter_pi": run.nu.below_quarter_pi,
-        "eta": run.eta.mean if run.eta else None,
-        "trials_per_success": run.eta.trials if run.eta else None,
-        "cpu_seconds": run.cpu_seconds,
+        "nu_below_quarter_pi": summary.nu.below_quarter_pi,
+        "eta": summary.eta.mean if summary.eta else None,
+        "trials_per_success": summary.eta.trials if summary.eta else None,
+        "cpu_seconds": summary.cpu_seconds,
         "set_size": size or None,
         "stand_in": ("yes" if run.target.stand_in else "no") if size else None,
         "why_no_set": run.target.why,

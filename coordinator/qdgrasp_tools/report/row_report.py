@@ -1,28 +1,49 @@
-"""Report on one row of a journal, and the context that its columns are read in.
+"""Reports on a run and on one row of it, and the context that its columns are read in.
 
 The context says which synergy a genome chose and how many trials a success has.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import field, structs
 from numpy.typing import NDArray
 
+from qdgrasp_assets.grippers.hand_model import coupling_error
 from qdgrasp_assets.grippers.urdf import scene_robot
 from qdgrasp_assets.scene import Scene, SceneGripper
-from qdgrasp_coordinator.metrics.cells import UNKNOWN_GENOMES, GenomeReader, cells
+from qdgrasp_coordinator.metrics.cells import UNKNOWN_GENOMES, GenomeReader, cells, niches
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, recorded_margins
-from qdgrasp_coordinator.metrics.successes import TrialPlan, eta_error
+from qdgrasp_coordinator.metrics.job_status import RunListing
+from qdgrasp_coordinator.metrics.run_stats import RunCounter
+from qdgrasp_coordinator.metrics.success_metrics import (
+    Diversity,
+    EtaSummary,
+    NuSummary,
+    SuccessMetrics,
+    diversity,
+)
+from qdgrasp_coordinator.metrics.successes import (
+    Successes,
+    TrialPlan,
+    eta_error,
+    find_successes,
+    join_successes,
+)
 from qdgrasp_coordinator.search.registry import prior_of
-from qdgrasp_coordinator.storage.engine_table import other_tables, verdicts
+from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares, other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
 from qdgrasp_coordinator.storage.success_pages import RowContext
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import CONTACT_VALUES, Outcome
+from qdgrasp_protocol.spec import DEFAULT_ENGINE
+from qdgrasp_protocol.text import counted
 
 MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
 
@@ -70,13 +91,13 @@ UNITS = dict.fromkeys(("penetration", "moved", "com_in_mesh", "surface_point"), 
 
 
 def report_table(report: dict[str, Any]) -> str:
-    """Return a row's report in words: a line for each field, or for each item of a list."""
+    """Return a report in words: a line for each field, or for each item of some lists."""
     return "\n".join(line for name, value in report.items() for line in _lines(name, value))
 
 
 def _lines(name: str, value: object) -> Iterator[str]:
     """Yield a field in words."""
-    items = value if isinstance(value, list) and value and isinstance(value[0], dict) else (value,)
+    items = value if isinstance(value, list) and value and isinstance(value[0], dict | str) else (value,)
     for place, item in enumerate(items):
         unit = "" if item is None else f" {UNITS.get(name, '')}".rstrip()
         yield f"{name.replace('_', ' ') if not place else '':<16} {_words(item)}{unit}"
@@ -227,3 +248,114 @@ def _gene_values(row: np.void, scene: Scene, prior: str) -> Iterator[dict[str, A
 def genome_reader(folder: RunFolder) -> GenomeReader:
     """Return the reader of a run's genomes; without its scene all synergies are one."""
     return GenomeReader.of(folder.scene(), prior_of(folder.spec)) if folder.has_bundle() else UNKNOWN_GENOMES
+
+
+FIRST_FIELDS = (
+    *("run", "gripper", "object", "scale", "method", "aim_for"),
+    *("told_apart_by", "protocol", "engine", "seed", "overlaps_mode"),
+    *("evaluations", "budget", "rows", "trials"),
+)
+"""Figures that a table begins with."""
+
+
+class RunSummary(RunListing, frozen=True, kw_only=True):
+    """The figures of a run."""
+
+    scale: float = 1.0
+    """Metres to a unit of the object's mesh file."""
+    aim_for: str = ""
+    """Objective of a method that has one; empty: none, or `touch` in runs recorded without it."""
+    told_apart_by: str = ""
+    """Diversity that the search looked for, `position`, `orientation` or `contact`; empty: no objective."""
+    engine: str = DEFAULT_ENGINE
+    """The physics engine."""
+    overlaps_mode: str
+    """Mode of counting overlaps, `count` or `redraw`."""
+    diversity: Diversity
+    """Niches of position, orientation and synergy with a success."""
+    qd_score: float
+    """Best fitness in each of these cells, summed; fitness as the search gets it."""
+    success_share: float | None
+    """`successes` over `evaluations`, 0 to 1; None before the first evaluation."""
+    mean_fitness: float | None
+    """Mean fitness of all successes; None without one."""
+    nu: NuSummary
+    """Lean of successes from the surface normal."""
+    eta: EtaSummary | None
+    """Estimated probability that successes transfer; None where the protocol has no trials."""
+    cpu_seconds: float
+    wall_seconds: float
+    complete: bool
+    collision_source: str
+    """Source of the object's convex parts."""
+    coupling_error: float | None
+    """Farthest that a coupled joint is from its place in grasps that hold [rad or m]; None: there is none."""
+    platform: dict[str, str]
+    in_both: dict[str, HeldShare] = field(default_factory=dict)
+    """Of grasps that hold, how many do so in another engine too, by its name, where the run has a table."""
+    rows_by_host: dict[str, int] = field(default_factory=dict)
+    """Rows that the workers of each host made."""
+
+    @property
+    def words(self) -> str:
+        """One sentence for a person."""
+        evaluations = counted(self.evaluations, "evaluation")
+        return (
+            f"{evaluations} of {self.method} with {self.gripper} on {self.object}: "
+            f"{self.found}, {counted(self.grasps, 'grasp')}, {self.robust} robust; {self.screened}."
+        )
+
+    @property
+    def table(self) -> str:
+        """All figures, one to a line."""
+        values = dict.fromkeys(FIRST_FIELDS, "") | structs.asdict(self)
+        del values["outcomes"]
+        for name in ("diversity", "nu", "eta"):
+            values[name] = values[name] and values[name].words
+        values["in_both"] = [f"{name} {share.words}" for name, share in self.in_both.items()]
+        values["rows_by_host"] = [f"{host}: {counted(n, 'row')}" for host, n in self.rows_by_host.items()]
+        values["platform"] = [f"{name} {value[:24]}" for name, value in sorted(self.platform.items())]
+        return report_table(values)
+
+
+def run_summary(folder: RunFolder) -> RunSummary:
+    """Count what is in a run's folder, also while the run goes on."""
+    return read_summary(folder)[0]
+
+
+def read_summary(folder: RunFolder) -> tuple[RunSummary, Successes]:
+    """Count what is in a run's folder, with or without its scene, and return its successes too."""
+    spec = folder.spec
+    with folder.journal() as journal:
+        plan, counts = TrialPlan.of(spec), RunCounter(spec)
+        blocks = counts.counting(chain([journal.shape.empty(0)], journal.blocks()))
+        found = join_successes([*find_successes(blocks, plan, spec.overlaps)])
+        metrics, totals, hosts = SuccessMetrics(plan), counts.totals, Counter[str]()
+        metrics.add(found)
+        for _, n, _, host in journal.makers():
+            hosts[host] += n
+        scene, outcomes = folder.scene() if folder.has_bundle() else None, found.rows["outcome"]
+        held = found.rows["joints"][outcomes == Outcome.HELD]
+        summary = RunSummary(
+            **structs.asdict(RunListing.of(journal.run, journal.scene, counts)),
+            scale=spec.scale or 1.0,
+            aim_for=spec.aim_for or "",
+            told_apart_by=spec.diversity or ("position" if spec.aim_for else ""),
+            engine=spec.engine or DEFAULT_ENGINE,
+            overlaps_mode=spec.overlaps,
+            diversity=diversity(niches(found.rows, genome_reader(folder)), outcomes),
+            qd_score=metrics.qd_score,
+            success_share=totals.successes / totals.evaluations if totals.evaluations else None,
+            mean_fitness=metrics.mean_fitness,
+            nu=metrics.nu,
+            eta=metrics.eta,
+            cpu_seconds=journal.cpu_seconds,
+            wall_seconds=journal.wall_seconds,
+            complete=counts.finished is not None,
+            collision_source=scene.object.collision_source if scene else "",
+            coupling_error=coupling_error(scene.gripper, held) if scene else None,
+            platform=journal.platform,
+            in_both=held_shares(folder),
+            rows_by_host=dict(hosts.most_common()),
+        )
+    return summary, found

@@ -6,7 +6,6 @@ pooled over its objects: a sample is then what a method reached with one seed on
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import bootstrap
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceLookup
-from qdgrasp_coordinator.metrics.run_stats import RunCounter
 from qdgrasp_coordinator.metrics.success_metrics import (
-    EtaSummary,
-    NuSummary,
     StepSeries,
-    SuccessMetrics,
     cell_growth,
     reference_growth,
 )
-from qdgrasp_coordinator.metrics.successes import TrialPlan, find_successes, join_successes
 from qdgrasp_coordinator.search import registry
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import RUNS, SPEC
@@ -33,6 +27,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.report.row_report import RunSummary, read_summary
 
 MethodVariant = tuple[str, str]  # A method, and the words that tell its variant from others
 
@@ -44,8 +39,7 @@ class RunHistory:
     path: Path
     spec: RunSpec
     target: CoverageTarget
-    counts: RunCounter
-    """The sums over its rows."""
+    summary: RunSummary
     cells: StepSeries
     """Distinct 1 cm cells with a success."""
     robust_cells: StepSeries
@@ -54,21 +48,16 @@ class RunHistory:
     """Distinct entries of the reference set."""
     robust_found: StepSeries | None
     """Entries of fitness 2, found by robust successes."""
-    qd_score: float
-    nu: NuSummary
-    eta: EtaSummary | None
-    """Eta of the successes whose trials are recorded; None where the protocol has none."""
-    cpu_seconds: float
 
     @property
     def evaluations(self) -> int:
         """Number of counted evaluations."""
-        return self.counts.evaluations
+        return self.summary.evaluations
 
     @property
     def complete(self) -> bool:
         """True if it has spent its budget or reached its goal."""
-        return self.counts.finished is not None
+        return self.summary.complete
 
     def coverage(self, evaluations: ArrayLike) -> NDArray[np.float64]:
         """Share of the reference set found after so many evaluations; NaN without one."""
@@ -76,37 +65,20 @@ class RunHistory:
             return np.full(np.shape(evaluations), np.nan)
         return self.found.after(evaluations) / self.target.size
 
-    def cell_count(self, evaluations: ArrayLike) -> NDArray[np.float64]:
-        """Number of success cells after so many evaluations."""
-        return self.cells.after(evaluations).astype(np.float64)
-
 
 def read_history(folder: RunFolder, target: CoverageTarget) -> RunHistory:
     """Read what a run found, also while it goes on; FolderError if its journal cannot be read."""
-    spec = folder.spec
-    with folder.journal() as journal:
-        plan, counts = TrialPlan.of(spec), RunCounter(spec)
-        blocks = counts.counting(chain([journal.shape.empty(0)], journal.blocks()))
-        found, cpu_seconds = (
-            join_successes([*find_successes(blocks, plan, spec.overlaps)]),
-            journal.cpu_seconds,
-        )
-    metrics = SuccessMetrics(plan)
-    metrics.add(found)
+    summary, found = read_summary(folder)
     known = target.reference
     return RunHistory(
         path=folder.path,
-        spec=spec,
+        spec=folder.spec,
         target=target,
-        counts=counts,
+        summary=summary,
         cells=cell_growth(found),
         robust_cells=cell_growth(found, Outcome.HELD),
         found=None if known is None else reference_growth(found, known),
         robust_found=None if known is None else reference_growth(found, known.robust, Outcome.HELD),
-        qd_score=metrics.qd_score,
-        nu=metrics.nu,
-        eta=metrics.eta,
-        cpu_seconds=cpu_seconds,
     )
 
 
@@ -235,15 +207,14 @@ def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator
 
 
 def _settings(spec: RunSpec) -> dict[str, str]:
-    values = msgspec.structs.asdict(spec)
-    return {key: _setting_words(values[key]) for key in values if key not in GROUP_KEYS}
-
-
-def _setting_words(value: object) -> str:
-    """Return a value of a spec in words."""
-    if isinstance(value, msgspec.Struct):
-        return " ".join(f"{key}={one}" for key, one in msgspec.to_builtins(value).items())
-    return str(value)
+    values = {key: msgspec.to_builtins(value) for key, value in msgspec.structs.asdict(spec).items()}
+    return {
+        key: " ".join(f"{name}={one}" for name, one in value.items())
+        if isinstance(value, dict)
+        else str(value)
+        for key, value in values.items()
+        if key not in GROUP_KEYS
+    }
 
 
 def grouped_by(groups: Iterable[RunGroup], *, by_object: bool) -> dict[SceneName, list[RunGroup]]:
@@ -304,7 +275,7 @@ class CurvePanel:
 
     def values(self, sample: Sample, evaluations: ArrayLike) -> NDArray[np.float64]:
         """Return the mean over the objects of a sample after so many evaluations on each."""
-        runs = [run.coverage if self.is_share else run.cell_count for run in sample]
+        runs = [run.coverage if self.is_share else run.cells.after for run in sample]
         return np.asarray(np.mean([run(evaluations) for run in runs], axis=0))
 
 

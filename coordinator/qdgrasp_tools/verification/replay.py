@@ -14,11 +14,9 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from qdgrasp_assets.geometry.mesh import Mesh
-from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.hand_geometry import hand_geometry
 from qdgrasp_assets.scene import Bundle, Scene
 from qdgrasp_coordinator.search.fixed_poses import as_given
@@ -46,7 +44,7 @@ from qdgrasp_tools.rendering.ray_renderer import (
     RayMesh,
     fit_camera,
 )
-from qdgrasp_tools.rendering.views import CLAY, FINGER_HUES, STEEL, paint_body, rgb
+from qdgrasp_tools.rendering.views import CLAY, FINGER_HUES, STEEL, PaintedMesh, paint_body, rgb
 from qdgrasp_tools.report.row_report import row_at
 from qdgrasp_tools.verification import comparison
 
@@ -181,34 +179,16 @@ PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture whose pixels are only
 OBJECT_HUE, FINGER_HUE, PALM_HUE = rgb(CLAY), rgb(FINGER_HUES[0]), rgb(STEEL)
 
 
-@dataclass(frozen=True)
-class DrawnBody:
-    """A rigid body with its surface for rays, in its own frame."""
-
-    rays: RayMesh
-    hue: NDArray[np.float32]
-    """(3,) RGB."""
-    corners: Floats
-    """(8, 3): corners of the box around it [m]."""
-
-    @classmethod
-    def of(cls, mesh: Mesh, hue: NDArray[np.float32]) -> "DrawnBody":
-        """Return the body of a mesh."""
-        return cls(RayMesh(mesh), hue, np.array(list(product(*zip(*mesh.bounds, strict=True)))))
-
-
 class SnapshotRenderer:
     """Draws snapshots of a scene: the hand by its collision shapes, the object by its surface."""
 
     def __init__(self, scene: Scene) -> None:
-        hand = hand_geometry(scene.gripper)
-        self._robot = hand.whole
-        fingers = scene.gripper.finger_links
+        hand, fingers = hand_geometry(scene.gripper), scene.gripper.finger_links
+        self._robot, self._object = hand.whole, scene.object.mesh
         self._links = {
-            name: DrawnBody.of(mesh, FINGER_HUE if name in fingers else PALM_HUE)
+            name: (mesh, FINGER_HUE if name in fingers else PALM_HUE)
             for name, mesh in hand.link_meshes.items()
         }
-        self._object = DrawnBody.of(scene.object.mesh, OBJECT_HUE)
 
     def fit(
         self, snapshots: Sequence[Snapshot], view: tuple[float, float], size: tuple[int, int]
@@ -217,21 +197,23 @@ class SnapshotRenderer:
 
         `view` is azimuth and elevation about the object's z [deg], `size` width and height [pixels].
         """
-        corners = []
+        points = []
         for number, snapshot in enumerate(snapshots):
             *hand, target = self._placed(snapshot)
             bodies = [*hand, target] if snapshot.touches or not number else hand
-            corners += [body.corners @ frame[:3, :3].T + frame[:3, 3] for body, frame in bodies]
+            points += [mesh.vertices for mesh, _ in bodies]
         azimuth, elevation = np.radians(view)
-        return fit_camera(np.concatenate(corners), azimuth, elevation, size, field=0.0)
+        return fit_camera(np.concatenate(points), azimuth, elevation, size, field=0.0)
 
     def best_view(self, still: Snapshot) -> tuple[float, float]:
         """Return azimuth and elevation [deg] from which most of both fingers and object is seen."""
+        bodies = [(RayMesh(mesh), hue) for mesh, hue in self._placed(still)]
 
         def score(view: tuple[int, int]) -> float:
-            camera = self.fit([still], view, PREVIEW_SIZE)
-            colour = self._painted(still, camera, is_flat=True).colour
-            counts = [(colour == hue).all(axis=1).sum() for hue in (FINGER_HUE, OBJECT_HUE)]
+            image = LayeredImage(self.fit([still], view, PREVIEW_SIZE))
+            for body, hue in bodies:
+                paint_body(image, body, hue, is_flat=True)
+            counts = [(image.colour == hue).all(axis=1).sum() for hue in (FINGER_HUE, OBJECT_HUE)]
             return float(counts[0]) * float(counts[1])
 
         azimuth, elevation = max(product(AZIMUTHS, ELEVATIONS), key=score)
@@ -239,20 +221,20 @@ class SnapshotRenderer:
 
     def draw(self, snapshot: Snapshot, camera: ParallelCamera) -> Image.Image:
         """Draw a snapshot."""
-        return Image.fromarray(np.rint(255 * self._painted(snapshot, camera).composed()).astype(np.uint8))
+        image = LayeredImage(camera)
+        for mesh, hue in self._placed(snapshot):
+            paint_body(image, RayMesh(mesh), hue)
+        return Image.fromarray(np.rint(255 * image.composed()).astype(np.uint8))
 
-    def _placed(self, snapshot: Snapshot) -> list[tuple[DrawnBody, Floats]]:
-        """All bodies with their frames (4, 4), the object at the end."""
+    def _placed(self, snapshot: Snapshot) -> list[PaintedMesh]:
+        """All bodies where they are with their colours, the object at the end."""
         root, target = to_matrices(np.array([snapshot.root, snapshot.object], dtype=np.float64))
         frames = self._robot.forward(snapshot.joints, root)
-        hand = [(body, frames[link]) for link, body in self._links.items()]
-        return [*hand, (self._object, target)]
-
-    def _painted(self, snapshot: Snapshot, camera: ParallelCamera, *, is_flat: bool = False) -> LayeredImage:
-        image = LayeredImage(camera)
-        for body, frame in self._placed(snapshot):
-            paint_body(image, body.rays, frame, body.hue, is_flat=is_flat)
-        return image
+        bodies = [(mesh, frames[link], hue) for link, (mesh, hue) in self._links.items()]
+        return [
+            (Mesh(mesh.vertices @ frame[:3, :3].T + frame[:3, 3], mesh.faces), hue)
+            for mesh, frame, hue in [*bodies, (self._object, target, OBJECT_HUE)]
+        ]
 
 
 PALETTE_FRAMES = 8  # Frames that a film's colours are taken from

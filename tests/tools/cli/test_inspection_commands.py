@@ -72,7 +72,7 @@ def test_a_campaign_says_what_its_objects_got_and_which_got_little(campaign: Pat
     assert "runs done        15" in lines
     assert "objects by state 3 skipped, 1 running, 2 waiting, 7 done" in lines
     assert "got little       4" in lines
-    assert "  part_00002: no grasp: the open hand overlaps it in 100 of 100 poses" in lines
+    assert f"{'':<16} part_00002: no grasp: the open hand overlaps it in 100 of 100 poses" in lines
     assert "left out         2: it is not closed" in lines
 
 

@@ -127,17 +127,3 @@ def test_the_nearer_of_solids_is_seen_and_veils_lie_over_one_another_whatever_th
         veiled.add_translucent(everywhere(depth), colour, half())
     assert solid.composed()[0, 0].tolist() == [1.0, 0.0, 0.0]
     assert veiled.composed()[0, 0].tolist() == [0.75, 0.25, 0.5]
-
-
-def test_a_body_in_its_own_frame_is_seen_as_where_it_stands() -> None:
-    """The camera is moved into the frame of the body instead of the body before the camera."""
-    frame = np.eye(4)
-    frame[:3, :3] = trimesh.transformations.rotation_matrix(1.1, [0.3, -0.5, 0.8])[:3, :3]
-    frame[:3, 3] = 0.03, -0.02, 0.05
-    body, view = box(0.06, 0.03, 0.09), fit_camera(ball(0.15).vertices, 0.7, 0.3, (80, 60))
-    there = Mesh(body.vertices @ frame[:3, :3].T + frame[:3, 3], body.faces)
-    placed, moved = RayMesh(there).cast_from(view), RayMesh(body).cast_from(view.in_frame(frame))
-    same = np.intersect1d(placed.pixels, moved.pixels)
-    assert len(same) > 0.98 * len(placed.pixels) > 100
-    depths = [hits.depth[np.isin(hits.pixels, same)] for hits in (placed, moved)]
-    assert np.allclose(*depths, atol=1e-4)

@@ -1,6 +1,5 @@
 """`analyse`: tables and figures of a campaign."""
 
-import json
 import re
 import shutil
 from pathlib import Path
@@ -10,16 +9,14 @@ import numpy as np
 import pytest
 from tests.coordinator.recorded_runs import random_rows, record
 from tests.coordinator.scenes import made_scene
-from typer.testing import CliRunner
 
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_coordinator.storage.tables import read_csv
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import FolderError, OutputError
 from qdgrasp_protocol.rows import TRIALS, Outcome
-from qdgrasp_tools.campaign.summaries import run_summary
-from qdgrasp_tools.cli.main import app
 from qdgrasp_tools.report.report import FIGURES, CampaignReport, write_report
+from qdgrasp_tools.report.row_report import run_summary
 from qdgrasp_tools.report.run_groups import mean_interval
 
 METHODS = ("contact_me_scs", "contact_rand", "me_scs")
@@ -165,13 +162,6 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
     record(tmp_path / "empty/a", made_scene(), random_rows(0))
     with pytest.raises(FolderError, match="has recorded an evaluation yet"):
         analysed(tmp_path / "empty")
-
-
-def test_the_command_prints_what_each_method_reached(campaign: Path) -> None:
-    printed = CliRunner().invoke(app, ["analyse", str(campaign)], catch_exceptions=False).stdout
-    assert all(method in printed for method in METHODS)
-    done = CliRunner().invoke(app, ["analyse", str(campaign), "--json"], catch_exceptions=False)
-    assert json.loads(done.stdout)["runs"] == 6
 
 
 def test_few_runs_have_no_interval_and_many_have_one_around_their_mean() -> None:

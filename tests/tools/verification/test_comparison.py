@@ -28,13 +28,6 @@ def test_the_last_bit_of_a_number_and_the_sign_of_a_zero_are_differences(recorde
     ]
 
 
-def test_what_differs_is_told_column_by_column(recorded: Rows) -> None:
-    now = recorded.copy()
-    now["outcome"], now["fitness"] = Outcome.DROPPED, 0
-    words = comparison.difference_words(comparison.row_differences(recorded[0], now[0]))
-    assert words == ["outcome dropped instead of held", "fitness 0.0 instead of 2.0"]
-
-
 def test_numbers_are_told_so_that_they_are_told_apart(recorded: Rows) -> None:
     now = recorded.copy()
     now["penetration"] = 0.001

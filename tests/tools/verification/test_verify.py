@@ -68,11 +68,6 @@ def own(rows: Rows) -> Rows:
     return reshape_rows(rows, RowShape(genes=36, joints=2))
 
 
-def rows_of(folder: RunFolder) -> Rows:
-    with folder.journal() as journal:
-        return np.concatenate(list(journal.blocks()))
-
-
 def test_rows_on_which_the_other_engine_failed_are_counted_apart_and_in_no_table(tmp_path, monkeypatch):
     rows = own(random_rows(3))
     rows["outcome"] = (Outcome.HELD, Outcome.DROPPED, Outcome.DROPPED)
@@ -92,11 +87,6 @@ def test_rows_on_which_the_other_engine_failed_are_counted_apart_and_in_no_table
     monkeypatch.setattr(verify, "score_genomes", lambda *_: pytest.fail("it was simulated"))
     with pytest.raises(InputError, match=r"is no table that .*; remove it"):
         compare_engine(folder, "mujoco", None, 0, config, display, Stop())  # type: ignore[arg-type]
-
-
-def test_a_lot_has_its_rows_as_they_are_recorded(folders: list[RunFolder]) -> None:
-    for lot in choose_rows(folders, 30, 0):
-        assert lot.rows().tobytes() == rows_of(lot.folder)[lot.numbers].tobytes()
 
 
 def test_nothing_to_choose_from_is_refused(tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ class PageState:
         """Return all jobs as they are now, or were a moment ago, as JSON in one line."""
         with self._lock:
             if time.monotonic() > self._encoded_at + STATE_SECONDS / 2:
-                jobs = [job_state(view) for view in self.views()]
+                jobs = [job_state(view) for view in self._feed.views()]
                 state = {"at": time.time(), "linked": self._feed.is_linked, "jobs": jobs}
                 self._text = msgspec.json.encode(state)
                 self._encoded_at = time.monotonic()
@@ -100,14 +100,10 @@ class PageState:
 
     def history(self, job: str) -> bytes:
         """Return the figures of a job over time as JSON, or raise `UnknownName`."""
-        views = {view.job: view for view in self.views()}
+        views = {view.job: view for view in self._feed.views()}
         if job not in views:
             raise UnknownName("job", job, views)
         return msgspec.json.encode(views[job].history)
-
-    def views(self) -> list[JobView]:
-        """Return the jobs as they are now."""
-        return self._feed.views()
 
     async def events(self, stop: Stop) -> AsyncIterator[dict[str, str]]:
         """Yield the state again and again until this process is asked to stop."""
@@ -130,7 +126,7 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
         return caches.curve(request.path_params["job"], request.path_params["run"])
 
     def metrics(_request: Request) -> Response:
-        text, kind = exposition(state.views())
+        text, kind = exposition(feed.views())
         return Response(text, headers={"Content-Type": kind})
 
     return [
@@ -139,7 +135,7 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
         Route("/api/stream", stream),
         Route("/api/jobs/{job}/history", lambda request: _json(state.history(request.path_params["job"]))),
         _slow("/api/jobs/{job}/runs", lambda request: caches.runs(request.path_params["job"]), limiter),
-        _slow("/api/jobs/{job}/objects", lambda request: _object_page(request, caches, state), limiter),
+        _slow("/api/jobs/{job}/objects", lambda request: _object_page(request, caches, feed), limiter),
         _slow("/api/jobs/{job}/objects/runs", object_runs, limiter),
         _slow("/api/jobs/{job}/runs/{run}/curve", curve, limiter),
         Route("/metrics", metrics),
@@ -147,12 +143,12 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
     ]
 
 
-def _object_page(request: Request, caches: JobCaches, state: PageState) -> bytes:
+def _object_page(request: Request, caches: JobCaches, feed: Feed) -> bytes:
     """Return a page of a job's objects, searched and sorted as the address says."""
     job, query = request.path_params["job"], request.query_params
     found = caches.objects(job)
     told = found.objects
-    for view in state.views():
+    for view in feed.views():
         if view.job == job:
             told = with_events(told, view.events, view.figures.building)
     shown = select_objects(told, query.get("search", ""), query.get("sort", ""), down="down" in query)
