@@ -187,6 +187,7 @@ class TookOver(EndedEarly):
 
 
 EXTRAS = {
+    "arm": ("pinocchio",),
     "export": ("h5py", "pyarrow"),
     "gpu": ("mujoco_warp", "warp"),
     "monitor": ("prometheus_client", "sse_starlette", "starlette", "uvicorn"),

@@ -20,11 +20,15 @@ from qdgrasp_protocol.spec import RunSpec, run_spec, usual_engine
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.run_commands import FINALISTS, scored_run
+from qdgrasp_tools.export.arm import Arm, Pose6
 from qdgrasp_tools.local.progress import progress_display, progress_messages
 from qdgrasp_tools.local.supervisor import LocalJobConfig, check_engines, score_genomes
 
 if TYPE_CHECKING:
     from qdgrasp_tools.export.importer import ImportedPoses
+
+
+NO_OFFSET = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @options.spec_flags("approach_distance", "resting_pose", *options.LIMITS, sets=())
@@ -94,6 +98,21 @@ def export(
     frame: Annotated[
         str, typer.Option(help="Where poses are told: the object's mesh file (mesh) or centre of mass (com).")
     ] = "mesh",
+    arm: Annotated[
+        Path | None,
+        typer.Option(metavar="URDF", help="Write also whether this arm comes to each pose, and its joints."),
+    ] = None,
+    base: Annotated[
+        Pose6 | None,
+        typer.Option(metavar="X Y Z R P Y", help="Its root link in the --frame [m, rad]."),
+    ] = None,
+    flange: Annotated[
+        str | None, typer.Option(help="Its link with the hand; default: the hand's own, or the last.")
+    ] = None,
+    flange_to_hand: Annotated[
+        Pose6, typer.Option(metavar="X Y Z R P Y", help="The hand's root link on the flange [m, rad].")
+    ] = NO_OFFSET,
+    reachable: Annotated[bool, typer.Option("--reachable", help="Only grasps that it comes to.")] = False,
     negatives: Annotated[
         int | None,
         typer.Option(
@@ -110,8 +129,9 @@ def export(
     --approach-distance or --resting-pose those grasps are written that the open hand comes to, with the way
     that it comes, as of a run that was asked for that. With --verify-top the N best grasps are evaluated in
     10 disturbed trials each, and the --top best of these (100) in 120, as a run of their own,
-    runs/RUN-robust, of which the file then is. Of several runs, or of a campaign, OUT is a folder
-    with an index and a card; flags choose from each run.
+    runs/RUN-robust, of which the file then is. With --arm tables have the columns reachable and arm_joints,
+    and --reachable leaves out what that arm does not come to. Of several runs, or of a campaign, OUT is a
+    folder with an index and a card; flags choose from each run.
 
     Example: qdgrasp export runs/mug --verify-top 600 --format isaac -o grasps.yaml
 
@@ -119,10 +139,17 @@ def export(
     """  # noqa: D205  # typer joins the lines
     from qdgrasp_tools.export import exporter  # takes its time to load
     from qdgrasp_tools.export.grasp_reader import GraspChoice
+    from qdgrasp_tools.export.grasp_table import frame_of
 
-    limits = options.grasp_limits(keys)
-    choice = GraspChoice(min_fitness, min_quality, top, diverse, limits, holds_in, **keys)
-    folders = run_folders(directories)
+    limits, folders, carrier = options.grasp_limits(keys), run_folders(directories), None
+    if (arm is None) != (base is None) or (reachable and arm is None):
+        raise InputError("--arm and --base go together, and --reachable with them: give both, or none.")
+    if arm is not None and base is not None:
+        hand = folders[0].scene().gripper.base_link
+        carrier = Arm(arm, frame_of(frame), base, hand, flange, flange_to_hand)
+    choice = GraspChoice(
+        min_fitness, min_quality, top, diverse, limits, holds_in, arm=carrier, reachable=reachable, **keys
+    )
     is_one = len(directories) == 1 and [folder.path for folder in folders] == directories
     if verify_top is not None:
         if not is_one:

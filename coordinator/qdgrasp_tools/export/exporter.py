@@ -1,11 +1,11 @@
 """Exports grasps: of a run to a file, of runs and campaigns to a data set with a card."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from string import Template
-from typing import Any, NamedTuple
+from typing import Any
 
 from qdgrasp_assets.geometry.collision_parts import Tell, ignore_progress
 from qdgrasp_coordinator.metrics.grasp_quality import takes_held
@@ -36,7 +36,6 @@ from qdgrasp_tools.export.grasp_table import (
     UNITS,
     Frame,
     GraspMetadata,
-    asset_name,
     common_values,
     frame_of,
 )
@@ -127,9 +126,9 @@ def export_grasps(
     with output.writing() as made:
         made.mkdir()
         dataset = DatasetWriter(made, writer)
-        for run in sorted(dataset.runs(source)):
-            tell(f"run {run.name}, {len(dataset.entries)} of {len(source)} written")
-            dataset.write(run)
+        for begin, folder in dataset.runs(source):
+            tell(f"run {begin['run']}, {len(dataset.entries)} of {len(source)} written")
+            dataset.write(begin, folder)
         return f"{dataset.write_lists()} written to {out}, poses in the objects' {frame} frame."
 
 
@@ -172,6 +171,8 @@ class GraspWriter:
                 if self.format.has_mesh:
                     beside.write(jaw_files.mesh_file(chosen.grasps.scene.object, self.frame))
         note = ""
+        if chosen.arm is not None:
+            note += f" The arm reaches {chosen.grasps.more[0].values.sum()} of {len(chosen.grasps)}."
         if self.choice.holds_in is not None:
             unknown = counted(chosen.unknown, "grasp")
             note += f" Left out: {unknown} whose verdict in {self.choice.holds_in} is not known."
@@ -195,24 +196,11 @@ CARD, INDEX = "README.md", "index.csv"
 TRAIN = "train"  # Split of objects without one
 TABLES = ("parquet", "webdataset")
 """Formats that hubs show as tables: their files are in a folder for each split."""
-COUNTS = ("evaluations", "successes", "grasps", "robust")
 
 
 def is_dataset(path: Path) -> bool:
     """Return whether a folder is a data set that was exported."""
     return all((path / name).is_file() for name in (CARD, INDEX))
-
-
-class DatasetRun(NamedTuple):
-    """One run of a data set; sorted, runs of one hand and one object are neighbours."""
-
-    gripper: str
-    split: str
-    object: str
-    name: str
-    """Its name here: that of its folder, with a number where another one has that too."""
-    folder: RunFolder
-    about: ObjectRecord
 
 
 Entry = dict[str, Any]
@@ -228,14 +216,13 @@ class DatasetWriter:
     entries: list[Entry] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
     """Runs that cannot be read, with the reason."""
+    engines: tuple[str, ...] = ()
+    """Those that any run has a table of."""
 
-    def __post_init__(self) -> None:
-        self._engines: tuple[str, ...] = ()  # Those that any run has a table of
-
-    def runs(self, folders: Sequence[RunFolder]) -> Iterator[DatasetRun]:
-        """Yield the runs that can be read."""
-        names: Counter[str] = Counter()
-        self._engines = tuple(
+    def runs(self, folders: Sequence[RunFolder]) -> list[tuple[Entry, RunFolder]]:
+        """Return the runs that can be read with the begin of their lines, those of a hand together."""
+        names, found = Counter[str](), list[tuple[Entry, RunFolder]]()
+        self.engines = tuple(
             name for name in ENGINES if any((each.path / f"engine-{name}.csv").exists() for each in folders)
         )
         for folder in folders:
@@ -247,60 +234,58 @@ class DatasetWriter:
             except InputError as error:
                 self.left_out[unique] = str(error)
                 continue
-            about = spec.about or ObjectRecord()
-            object_ = about.id or asset_name(spec.object)
-            yield DatasetRun(asset_name(spec.gripper), about.split, object_, unique, folder, about)
+            common, about = common_values(spec), spec.about or ObjectRecord()
+            begin = {name: common[name] for name in ("object", "gripper")}
+            found.append((begin | {"run": unique, "split": about.split}, folder))
+        return sorted(found, key=lambda one: [one[0][key] for key in ("gripper", "split", "object", "run")])
 
-    def write(self, run: DatasetRun) -> None:
+    def write(self, begin: Entry, folder: RunFolder) -> None:
         """Write the grasps of a run, or note why it cannot be read."""
         try:
-            with run.folder.journal() as journal:
-                chosen = self.writer.read(run.folder, journal, self._engines, run.name)
+            with folder.journal() as journal:
+                chosen = self.writer.read(folder, journal, self.engines, begin["run"])
                 metadata = grasp_metadata(chosen, self.writer.frame, journal)
                 totals = count_rows(chosen.grasps.spec, journal.blocks()).totals
         except InputError as error:
-            self.left_out[run.name] = str(error)
+            self.left_out[begin["run"]] = str(error)
             return
-        body, about, common = chosen.grasps.scene.object, run.about, common_values(chosen.grasps.spec)
-        self.entries.append({
-            "object": run.object,
-            "gripper": run.gripper,
-            "run": run.name,
-            "split": run.split,
+        body, spec = chosen.grasps.scene.object, chosen.grasps.spec
+        about, common = spec.about or ObjectRecord(), common_values(spec)
+        self.entries.append(begin | {
             "category": about.category,
             "licence": about.licence or body.licence,
             "source": about.source or body.source,
             "object_file": metadata.object_file,
             "object_sha256": metadata.object_sha256,
             **{name: common[name] for name in ("method", "seed", "protocol", "engine")},
-            **{name: getattr(totals, name) for name in COUNTS},
+            **{name: getattr(totals, name) for name in ("evaluations", "successes", "grasps", "robust")},
             "min_fitness": chosen.min_fitness,
             "rows": len(chosen.grasps),
             "failures": chosen.failures,
             "best_quality": chosen.best,
             "digest": metadata.runs[0].digest,
             "scene": metadata.scene,
-            "files": " ".join(self._write_file(run, chosen, metadata)),
+            "files": " ".join(self._write_file(begin, chosen, metadata)),
         })  # fmt: skip
 
-    def _write_file(self, run: DatasetRun, chosen: ChosenGrasps, metadata: GraspMetadata) -> list[str]:
+    def _write_file(self, begin: Entry, chosen: ChosenGrasps, metadata: GraspMetadata) -> list[str]:
         """Write the grasps of a run, if there are any; returns the names of its files."""
-        form, home = self.writer.format, self.path / DATA / job_name(run.gripper)
+        form, home, name = self.writer.format, self.path / DATA / job_name(begin["gripper"]), begin["run"]
         if form.name in TABLES:
-            home /= run.split or TRAIN
+            home /= begin["split"] or TRAIN
         if not len(chosen.grasps):
             return []
         home.mkdir(parents=True, exist_ok=True)
         if form.name != "graspgen":
-            made = [home / f"{run.name}{form.suffix}"]
+            made = [home / f"{name}{form.suffix}"]
             form.write(made[0], chosen.grasps, metadata)
             if form.has_mesh:
                 made.append(jaw_files.mesh_beside(made[0]))
                 made[1].write_bytes(jaw_files.mesh_file(chosen.grasps.scene.object, metadata.frame))
         else:
-            jaw_files.write_graspgen_object(home, run.name, chosen.grasps, metadata)
+            jaw_files.write_graspgen_object(home, name, chosen.grasps, metadata)
             ends = {jaw_files.DATA: "json", jaw_files.OBJECTS: "obj"}
-            made = [home / folder / f"{run.name}.{end}" for folder, end in ends.items()]
+            made = [home / folder / f"{name}.{end}" for folder, end in ends.items()]
         return [file.relative_to(self.path).as_posix() for file in made]
 
     def write_lists(self) -> str:
@@ -375,12 +360,5 @@ def _head(data: DatasetWriter) -> dict[str, Any]:
         for place, (hand, paths) in enumerate(sorted(tables.items()))
     ]  # fmt: skip
     index = {"config_name": "index", "data_files": [{"split": "train", "path": INDEX}]}
-    return {
-        "pretty_name": "Grasps of qdgrasp",
-        "license": "other",
-        "license_name": "see-the-table-of-licences",
-        "license_link": CARD,
-        "task_categories": ["robotics"],
-        "tags": ["robotics", "grasping", "qdgrasp", data.writer.format.name],
-        "configs": [*configs, index],
-    }
+    tags = ["robotics", "grasping", "qdgrasp", data.writer.format.name]
+    return {"tags": tags, "configs": [*configs, index]}

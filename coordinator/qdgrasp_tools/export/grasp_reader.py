@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.rotation import Floats, multiply, running_sum
+from qdgrasp_assets.geometry.rotation import running_sum
 from qdgrasp_assets.gripper_setup.draft import original_base
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
 from qdgrasp_assets.grippers.hand_model import coupling_error
@@ -33,7 +33,7 @@ from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import ImpossibleValue
 from qdgrasp_protocol.rows import LIFT, Outcome
-from qdgrasp_protocol.spec import RunSpec, to_toml
+from qdgrasp_protocol.spec import APPROACH_DISTANCE, RunSpec, to_toml
 from qdgrasp_protocol.text import counted, join_numbers
 from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import (
@@ -42,6 +42,7 @@ from qdgrasp_tools.export.grasp_table import (
     LIFT_MEANING,
     POSE_WORDS,
     Frame,
+    GraspColumn,
     GraspMetadata,
     RestingPoseRecord,
     SourceRun,
@@ -50,6 +51,7 @@ from qdgrasp_tools.export.grip import fixed_joints
 
 if TYPE_CHECKING:
     from qdgrasp_assets.grippers.reachability import ReachabilityCheck
+    from qdgrasp_tools.export.arm import Arm
 
 
 def read_run(folder: RunFolder, least: Outcome = Outcome.DROPPED) -> Grasps:
@@ -105,6 +107,10 @@ class GraspChoice:
     """Distance from which hands come to their poses, touching nothing [m]; None: as in the run."""
     resting_pose: int | str | None = None
     """How the object rests on a table that they come above, or "any"; None: as in the run."""
+    arm: "Arm | None" = None
+    """The arm that is asked whether it reaches them."""
+    reachable: bool = False
+    """True: those alone that it reaches."""
 
     def reachability(self, scene: Scene, spec: RunSpec) -> "ReachabilityCheck | None":
         """Return the check of how hands come to grasps; None: neither flags nor the run ask for it."""
@@ -135,11 +141,20 @@ def select_grasps(grasps: Grasps, choice: GraspChoice = ALL_GRASPS) -> Grasps:
     chosen = chosen[chosen.confidence >= choice.min_quality]
     if chosen.approach is not None:
         chosen = chosen[chosen.reach.is_reachable]
+    if choice.reachable:
+        chosen = chosen[_arm_columns(chosen, choice.arm)[0].values]
     if choice.top is None and choice.diverse is None:
         return chosen
     bounds = eta_bounds(chosen.eta, np.maximum(chosen.trials, 1))[0]
     chosen = chosen[best_first(chosen.rows, bounds, chosen.eta_hard)[: choice.top]]
     return chosen if choice.diverse is None else chosen[spread_places(chosen, choice.diverse)]
+
+
+def _arm_columns(grasps: Grasps, arm: "Arm | None") -> tuple[GraspColumn, ...]:
+    """Return whether an arm reaches grasps, and its joints there; nothing without one."""
+    distance = grasps.approach.distance if grasps.approach else APPROACH_DISTANCE
+    axis = np.array(grasps.scene.gripper.approach_axis)
+    return () if arm is None else arm.columns(grasps.poses(arm.frame), axis, distance)
 
 
 def _check_number(name: str, value: object, *, whole: bool) -> None:
@@ -156,33 +171,22 @@ def spread_places(grasps: Grasps, most: int) -> NDArray[np.int64]:
     reach sin(angle / 2). A jaw turned by 180 degrees about its approach axis is the same jaw. Of equally far
     ones the first is taken (Gonzalez 1985, "Clustering to minimize the maximum intercluster distance").
     """
-    poses, hand = grasps.poses(COM), grasps.scene.gripper
-    nearest = np.full(len(poses), np.inf)
+    hands, gripper = grasps.matrices(COM), grasps.scene.gripper
+    half_turn = np.eye(4)
+    half_turn[:3, :3] = 2 * np.outer(gripper.approach_axis, gripper.approach_axis) - np.eye(3)
+    same = (hands, hands @ half_turn) if gripper.jaw else (hands,)
+    scale = gripper.reach / np.sqrt(2)
+    # matrices of rotations lie the root of 8 sin2(angle / 2) apart
+    variants = [np.hstack([each[:, :3, 3], scale * each[:, :3, :3].reshape(-1, 9)]) for each in same]
+    nearest = np.full(len(hands), np.inf)
     chosen: list[int] = []
-    while len(chosen) < min(most, len(poses)):
+    while len(chosen) < min(most, len(hands)):
         place = int(np.argmax(nearest)) if chosen else 0
         chosen.append(place)
-        nearest = np.minimum(nearest, squared_distances(poses, poses[place], hand))
+        for each in variants:
+            nearest = np.minimum(nearest, ((each - variants[0][place]) ** 2).sum(axis=1))
         nearest[place] = -1.0
     return np.array(chosen, dtype=np.int64)
-
-
-def squared_distances(poses: Floats, other: Floats, hand: SceneGripper) -> Floats:
-    """Return the squared distances (n,) [m2] of poses (n, 7) from another one (7,)."""
-    apart, cosine = poses[:, :3] - other[:3], _half_angle_cosines(poses[:, 3:], other[3:])
-    if hand.jaw:
-        half = np.array([*hand.approach_axis, 0.0])  # the quaternion of 180 degrees
-        cosine = np.maximum(
-            cosine, _half_angle_cosines(poses[:, 3:], multiply(other[None, 3:], half[None])[0])
-        )
-    x, y, z = apart.T
-    return np.asarray(x * x + y * y + z * z + 4.0 * hand.reach**2 * (1.0 - np.minimum(cosine, 1.0) ** 2))
-
-
-def _half_angle_cosines(quaternions: Floats, other: Floats) -> Floats:
-    """Cosine (n,) of half the angle between rotations (n, 4) and another one (4,)."""
-    x, y, z, w = quaternions.T
-    return np.asarray(np.abs(x * other[0] + y * other[1] + z * other[2] + w * other[3]))
 
 
 class ChosenGrasps(NamedTuple):
@@ -195,6 +199,7 @@ class ChosenGrasps(NamedTuple):
     """The others have this fitness or more."""
     unknown: int = 0
     """Grasps that were left out as their verdict in the engine that is asked for is not known."""
+    arm: "Arm | None" = None
 
     @property
     def best(self) -> float | None:
@@ -222,7 +227,9 @@ def choose_grasps(every: Grasps, choice: GraspChoice, failures: int = 0) -> Chos
     others = np.setdiff1d(np.flatnonzero(~every.is_grasp), places) if failures else places[:0]
     if failures != ALL_FAILURES and failures < len(others):
         others = others[np.linspace(0, len(others) - 1, failures).round().astype(np.int64)]
-    return ChosenGrasps(every[np.concatenate([places, others])], len(others), least, unknown)
+    chosen = every[np.concatenate([places, others])]
+    chosen = replace(chosen, more=_arm_columns(chosen, choice.arm))
+    return ChosenGrasps(chosen, len(others), least, unknown, choice.arm)
 
 
 ETA_WORDS = (
@@ -261,8 +268,10 @@ def grasp_metadata(chosen: ChosenGrasps, frame: Frame, journal: Journal) -> Gras
     hand, body = scene.gripper, scene.object
     file = Path(grasps.spec.object).name if Path(grasps.spec.object).suffix else ""
     check, origin = grasps.approach, (0.0, 0.0, 0.0) if frame == COM else body.com_in_mesh
-    spec, error = _public_spec(grasps.spec), coupling_error(hand, grasps.joints)
-    runs = (SourceRun(run=grasps.run, digest=journal_digest(journal), spec=spec),)
+    names = {name: Path(getattr(grasps.spec, name)).name for name in ("gripper", "object")}
+    public = msgspec.structs.replace(grasps.spec, poses=None, reseated=None, **names)
+    runs = (SourceRun(run=grasps.run, digest=journal_digest(journal), spec=to_toml(public)),)
+    error = coupling_error(hand, grasps.joints)
     return GraspMetadata(
         qdgrasp=version("qdgrasp"),
         gripper=hand.name,
@@ -298,6 +307,7 @@ def grasp_metadata(chosen: ChosenGrasps, frame: Frame, journal: Journal) -> Gras
         settled=_settled_words(grasps),
         approach_distance=UNSET if check is None else check.distance,
         resting_poses=_resting_poses(check, origin) if check and check.poses else UNSET,
+        arm=chosen.arm.words if chosen.arm else UNSET,
         scene=journal.scene,
         runs=runs,
     )
@@ -327,12 +337,6 @@ def _confidence_words(spec: RunSpec) -> str:
         return share
     base = "" if spec.base == "paper" else f" under {spec.base}"
     return f"eta{base} of {spec.trial_count} trials, {ETA_WORDS}; where it is not known {share}"
-
-
-def _public_spec(spec: RunSpec) -> str:
-    """Write a spec without the folders of its author's files, and without poses."""
-    names = {name: Path(getattr(spec, name)).name for name in ("gripper", "object")}
-    return to_toml(msgspec.structs.replace(spec, poses=None, reseated=None, **names))
 
 
 def part_digest(part: SceneGripper | SceneObject) -> str:

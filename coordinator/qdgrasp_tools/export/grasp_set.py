@@ -177,6 +177,8 @@ class Grasps:
     """Outcome and fitness (n,) in other engines that the run has a table of; -1 and NaN: not known."""
     approach: "ReachabilityCheck | None" = None
     """How hands are to come to grasps, for `reach`; None: it was not asked for."""
+    more: tuple[GraspColumn, ...] = ()
+    """Columns that files have besides."""
 
     def __repr__(self) -> str:
         return f"<{counted(len(self), 'grasp')} of {self.scene.gripper.name} on {self.scene.object.name}>"
@@ -201,6 +203,7 @@ class Grasps:
             trials=self.trials[places],
             eta_hard=self.eta_hard[places],
             elsewhere={name: values[places] for name, values in self.elsewhere.items()},
+            more=tuple(column._replace(values=column.values[places]) for column in self.more),
         )
 
     def __iter__(self) -> Iterator[Grasp]:
@@ -380,11 +383,6 @@ class Grasps:
         axis = np.array(self.scene.gripper.approach_axis)
         return rotate(turns, np.broadcast_to(axis, (len(self), 3)))
 
-    @property
-    def has_table(self) -> bool:
-        """True where hands were to come to grasps above a table."""
-        return self.approach is not None and bool(self.approach.poses)
-
     @cached_property
     def resting_poses(self) -> list[list[int]]:
         """Numbers of the resting poses in which each hand comes to it; needs `approach`."""
@@ -475,8 +473,7 @@ class Grasps:
         way, angle = self.motion.T
         yield GraspColumn("motion_mm", 1e3 * way, "way of the object in the hand while it closed [mm]")
         yield GraspColumn("motion_deg", np.degrees(angle), "its turn meanwhile [deg]")
-        words = "synergy that closes the hand; none: all driven joints"
-        yield GraspColumn("synergy", self.synergy_words, words)
+        yield GraspColumn("synergy", self.synergy_words, "that closes the hand; none: all driven joints")
         aims = rows["surface_point"].astype(np.float64)
         aims[~aims.any(axis=1)] = np.nan
         aims = change_frame(aims, self.scene.object.com_in_mesh, COM, frame)
@@ -486,15 +483,16 @@ class Grasps:
         yield GraspColumn("penetration", rows["penetration"], "deepest after closing [m]")
         yield GraspColumn("margin", self.margin, "Ferrari-Canny margin of the contacts; none: not known")
         if self.approach is not None:
-            yield from self._approach_columns(frame)
+            yield from self._approach_columns(frame, has_table=bool(self.approach.poses))
+        yield from self.more
 
-    def _approach_columns(self, frame: Frame) -> Iterator[GraspColumn]:
+    def _approach_columns(self, frame: Frame, *, has_table: bool) -> Iterator[GraspColumn]:
         """Yield how hands come to the commanded poses."""
         origins = self.approach_poses(frame)[:, :3]
         yield from xyz_columns("approach_", self.approach_directions, "its direction, object's frame")
         yield from xyz_columns("approach_from_", origins, "where it comes from, object's frame [m]")
         yield GraspColumn("approach_clear", self.reach.is_clear.astype(np.uint8), "1: nothing is on its way")
-        if self.has_table:
+        if has_table:
             words = np.array([" ".join(map(str, numbers)) for numbers in self.resting_poses], dtype=str)
             yield GraspColumn("resting_poses", words, "resting poses in which it comes above the table")
             yield GraspColumn("resting_probability", self.reach.probability, "probability of these")

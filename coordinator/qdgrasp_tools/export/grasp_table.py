@@ -200,6 +200,8 @@ class GraspMetadata(Struct, frozen=True, kw_only=True):
     """Distance from which hands come to the commanded poses [m]; absent: not looked at, as the next one."""
     resting_poses: tuple[RestingPoseRecord, ...] | UnsetType = UNSET
     """Ways in which the object rests on a table, as far as they were looked at; absent: there was none."""
+    arm: str | UnsetType = UNSET
+    """The arm whose joints the file has, its base and flange, in words; absent: none was asked."""
     scene: str
     """sha256 of the scene bundle."""
     runs: tuple[SourceRun, ...]
@@ -368,7 +370,8 @@ def arrow_table(columns: dict[str, GraspColumn], metadata: dict[str, str] | None
         if values.dtype.kind == "U":
             return pa.array(values.tolist(), pa.string(), mask=values == "")
         if values.ndim > 1:
-            return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+            none = pa.array(np.isnan(values).any(axis=1))
+            return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1], mask=none)
         return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
 
     arrays = {name: array(column.values) for name, column in columns.items()}
@@ -382,6 +385,15 @@ def arrow_table(columns: dict[str, GraspColumn], metadata: dict[str, str] | None
 def exact_decimals(values: NDArray[np.floating]) -> Floats:
     """Return numbers as float64 with the shortest decimals of their own precision."""
     return np.asarray(values, dtype="U32").astype(np.float64)
+
+
+def plain_values(values: NDArray[Any]) -> list[Any]:
+    """Return values (n,) of a column as plain ones; None for NaN."""
+    if values.ndim > 1:
+        return ["" if np.isnan(line).any() else " ".join(map(str, line)) for line in values.tolist()]
+    if values.dtype.kind != "f":
+        return list(values.tolist())
+    return [None if value != value else value for value in exact_decimals(values).tolist()]
 
 
 UNIT_TOLERANCE = 1e-2

@@ -146,8 +146,8 @@ def _datasets(grasps: Grasps, about: GraspMetadata) -> dict[str, Any]:
         found["grasps/approach_transforms"] = jaw_matrices(hand, grasps.approach_poses(about.frame))
         found["grasps/approach_directions"] = np.column_stack([columns[f"approach_{axis}"] for axis in "xyz"])
         found["grasps/approach_clear"] = columns["approach_clear"].astype(np.int8)
-    if grasps.has_table:
-        numbers = [pose.number for pose in about.resting_poses or ()]
+    if about.resting_poses:
+        numbers = [pose.number for pose in about.resting_poses]
         found["grasps/resting_poses"] = np.array(
             [[n in each for n in numbers] for each in grasps.resting_poses]
         )
@@ -263,7 +263,7 @@ def _lists(grasps: Grasps, about: GraspMetadata) -> tuple[dict[str, Any], dict[s
     if grasps.approach is not None:
         ours["approach_transforms"] = jaw_matrices(hand, grasps.approach_poses(about.frame)).tolist()
         ours["approach_clear"] = (columns["approach_clear"] == 1).tolist()
-    if grasps.has_table:
+    if about.resting_poses:
         ours["resting_poses"] = grasps.resting_poses
         ours["resting_probability"] = columns["resting_probability"].tolist()
     poses = jaw_matrices(hand, grasps.poses(about.frame)).tolist()

@@ -8,7 +8,6 @@ import json
 import tarfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,17 +24,16 @@ from qdgrasp_tools.export.grasp_table import (
     UnreadableGrasps,
     arrow_table,
     common_values,
-    exact_decimals,
+    plain_values,
 )
 
-SAMPLE_ROWS = 8192  # Grasps that are made into a table of Arrow at once
 METADATA_KEY = "qdgrasp"
 
 
 def write_csv(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     """Write grasps as CSV in UTF-8, behind lines with the metadata."""
     found = grasps.columns(about.frame)
-    names, columns = list(found), list(map(_plain, found.values()))
+    names, columns = list(found), list(map(plain_values, found.values()))
     with path.open("w", encoding="utf-8", newline="") as file:
         for name, value in about.values.items():
             if name != "runs":
@@ -45,14 +43,6 @@ def write_csv(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
             file.write(f"# run: {run.run}\n#   digest: {run.digest}\n")
             file.writelines(f"#   {line}\n" for line in run.spec.splitlines())
         write_rows(file, (dict(zip(names, line, strict=True)) for line in zip(*columns, strict=True)), names)
-
-
-def _plain(values: NDArray[np.generic]) -> list[Any]:
-    """Return values (n,) of a column as plain ones; None for NaN."""
-    if values.dtype.kind != "f":
-        return list(values.tolist())
-    numbers: NDArray[np.floating] = values  # type: ignore[assignment]  # the kind says so
-    return [None if value != value else value for value in exact_decimals(numbers).tolist()]
 
 
 def write_parquet(path: Path, grasps: Grasps, about: GraspMetadata) -> None:

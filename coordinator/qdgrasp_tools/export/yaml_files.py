@@ -32,11 +32,11 @@ from qdgrasp_protocol.drives import JAW_PRELOAD
 from qdgrasp_protocol.rows import DISTURBANCES, NO_SYNERGY, nominal_protocol
 from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import (
-    Frame,
     GraspMetadata,
     GraspTable,
     UnreadableGrasps,
     exact_decimals,
+    plain_values,
 )
 
 FORMAT, VERSION = "isaac_grasp", 1.0
@@ -67,23 +67,18 @@ def _numbers(values: NDArray[np.floating]) -> list[Any]:
     return list(exact_decimals(values).tolist())
 
 
-def _optional(values: NDArray[np.floating]) -> list[float | None]:
-    """Return numbers (n,) as plain values, None for NaN."""
-    return [None if value != value else value for value in _numbers(values)]
-
-
-def _extra_lists(grasps: Grasps, frame: Frame) -> dict[str, Any]:
+def _extra_lists(grasps: Grasps, about: GraspMetadata) -> dict[str, Any]:
     """Return values without a place in the format, lists in the order of the grasps."""
     names = ("fitness", "eta", "margin", "penetration", "width", "grip_force")
-    columns = grasps.columns(frame)
-    lists: dict[str, Any] = {name: _optional(columns[name]) for name in names}
+    columns = grasps.columns(about.frame)
+    lists: dict[str, Any] = {name: plain_values(columns[name]) for name in names}
     lists = {name: values for name, values in lists.items() if any(each is not None for each in values)}
     if (grasps.synergies != NO_SYNERGY).any():
         lists["synergy"] = grasps.synergy_words.tolist()
     if grasps.approach is not None:
         lists["approach_directions"] = _numbers(grasps.approach_directions + 0.0)
-        lists["approach_positions"] = _numbers(grasps.approach_poses(frame)[:, :3] + 0.0)
-    if grasps.has_table:
+        lists["approach_positions"] = _numbers(grasps.approach_poses(about.frame)[:, :3] + 0.0)
+    if about.resting_poses:
         lists["resting_poses"] = grasps.resting_poses
         lists["resting_probability"] = _numbers(columns["resting_probability"])
     return lists
@@ -114,7 +109,7 @@ def write_isaac(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     head |= {f"{key}_link": name for key, name in names.items()} | names
     head |= {"object_file": about.object_file or f"{about.object}.obj", "object_scale": about.object_scale}
     head["gripper_file"] = f"{about.gripper}.urdf"
-    ours = about.values | {"grasps": _extra_lists(grasps, about.frame)}
+    ours = about.values | {"grasps": _extra_lists(grasps, about)}
     values = head | {"qdgrasp": ours, "grasps": items}
     path.write_text(to_yaml(values), encoding="utf-8")
 
@@ -160,7 +155,7 @@ def write_moveit(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
         }
         for name, pose, start, closed, quality in zip(*columns, strict=True)
     ]
-    lists = _extra_lists(grasps, about.frame)
+    lists = _extra_lists(grasps, about)
     lists["settled_poses"] = _numbers(grasps.settled_poses(about.frame))
     lists["squeeze_positions"] = _numbers(postures.squeeze[:, places])
     path.write_text(

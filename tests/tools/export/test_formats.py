@@ -79,7 +79,7 @@ class TestFormat:
 
     def test_every_file_says_frames_units_and_licences(self, run, tmp_path, name) -> None:
         about = self.read(run, tmp_path / "out", name).about
-        asked = {"runs", "original_base", "approach_distance", "resting_poses"}
+        asked = {"runs", "arm", "original_base", "approach_distance", "resting_poses"}
         assert set(GraspMetadata.__struct_fields__) - asked <= set(about)
         assert "original_base" not in about
         assert (about["gripper"], about["gripper_frame"], about["object"]) == ("jaw", "palm", "block")
