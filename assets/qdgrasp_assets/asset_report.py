@@ -196,11 +196,9 @@ def examine(path: Path, name: str) -> AssetReport:
         robot, faults = read_robot(urdf_path(path, file))
     except QdgraspError as error:
         return AssetReport(kind="gripper", name=name, faults=(str(error).rstrip("."),))
-    return (
-        AssetReport(kind="gripper", name=name, faults=faults)
-        if robot is None
-        else examine_hand(robot, file, name)
-    )
+    if robot is None:
+        return AssetReport(kind="gripper", name=name, faults=faults)
+    return examine_hand(robot, file, name)
 
 
 def examine_urdf(urdf: Path, name: str) -> tuple[AssetReport, Gripper | None]:

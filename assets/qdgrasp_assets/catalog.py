@@ -21,6 +21,7 @@ from qdgrasp_assets.grippers.gripper_file import read_gripper_file
 from qdgrasp_assets.grippers.hand_model import are_deep
 from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts
 from qdgrasp_assets.object_shape import FARTHEST, ObjectShape, file_shape, is_in_catalog, shape_of
+from qdgrasp_assets.regions import with_regions
 from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject, Vector
 from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
@@ -62,7 +63,7 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress, known: ObjectShape 
         check_object(spec.object)  # before the hand is read, which takes longer
     hand, (facts, shape) = carried_hand(spec), _facts_and_shape(spec, tell, known)
     geometry = structs.asdict(shape)
-    return Scene(
+    scene = Scene(
         protocol=spec.protocol,
         base=spec.base,
         engine=spec.engine,
@@ -83,6 +84,7 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress, known: ObjectShape 
         resting_poses=tuple(chosen_resting_poses(shape.collision, spec.table_pose, spec.object).values()),
         neighbours=neighbour_parts(spec, shape),
     )
+    return with_regions(scene, spec) if spec.on or spec.avoid else scene
 
 
 def carried_hand(spec: RunSpec) -> SceneGripper:

@@ -51,10 +51,6 @@ def spherical_radius(scene: Scene) -> float:
     return scene.gripper.extent + float(sides.max())
 
 
-def _given(_: Scene) -> Genes:
-    return tuple(Gene(name, -1.0, 1.0) for name in ("x", "y", "z", "qx", "qy", "qz", "qw"))
-
-
 def _finder(scene: Scene) -> Genes:
     corners = zip("xyz", scene.finder_low, scene.finder_high, strict=True)
     return tuple(Gene(f"{axis}_r", low, high) for axis, low, high in corners)
@@ -87,7 +83,7 @@ def _spherical(scene: Scene) -> Genes:
 
 
 PRIOR_GENES: dict[str, Callable[[Scene], Genes]] = {
-    GIVEN: _given,
+    GIVEN: lambda _: tuple(Gene(name, -1.0, 1.0) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")),
     ANTIPODAL: _antipodal,
     "approach": lambda scene: _cone(scene, NU_A),
     "contact": lambda scene: _cone(scene, np.pi),  # approach with nu_a = pi (Huber et al. 2024, III-A)

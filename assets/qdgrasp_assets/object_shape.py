@@ -75,11 +75,6 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Share of the surface that is outside all parts."""
 
     @property
-    def warning(self) -> str:
-        """Warning about its convex parts and fine walls, in words; empty where nothing is said."""
-        return "; ".join(self.notes)
-
-    @property
     def notes(self) -> Iterator[str]:
         """Warnings about its convex parts and fine walls."""
         if not PartsFit(self.filled, self.bare).is_good:
@@ -132,13 +127,15 @@ def _check(shape: ObjectShape) -> None:
         np.array([shape.finder_low, shape.object_low]),
         np.array([shape.finder_high, shape.object_high]),
     )
+    parts = parse_parts(shape.collision.decode("ascii"))
     checks = {
         "faces": 4 <= len(faces) <= MOST_TRIANGLES and faces.max() < len(vertices),
         "surface points": 0 < len(points) == len(normals) <= MAX_POINTS,
         "normals": np.linalg.norm(normals, axis=1).max(initial=0.0) <= LONGEST_NORMAL,
         "centre of mass": np.isfinite(shape.com_in_mesh).all(),
         "boxes": (low < high).all() and np.isfinite([low, high]).all(),
-        "convex parts": _has_convex_parts(shape.collision),
+        # not true of nan
+        "convex parts": bool(parts) and all((np.abs(part.vertices) <= FARTHEST).all() for part in parts),
     }
     for name, is_good in checks.items():
         if not is_good:
@@ -151,12 +148,6 @@ def _coordinates(blob: bytes) -> NDArray[np.float32]:
     if not (np.abs(cloud) <= FARTHEST).all():  # not true of nan
         raise ValueError("its coordinates are not finite or too large")
     return cloud
-
-
-def _has_convex_parts(text: bytes) -> bool:
-    """Return whether an OBJ text holds solids of finite vertices; may raise `ValueError`."""
-    parts = parse_parts(text.decode("ascii"))
-    return bool(parts) and all((np.abs(part.vertices) <= FARTHEST).all() for part in parts)  # not of nan
 
 
 def shape_of(

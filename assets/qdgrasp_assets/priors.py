@@ -128,17 +128,13 @@ class ConePrior(Prior):
         nu, d, xi, omega = genes[:, 3], genes[:, 4], genes[:, 5], genes[:, 6]
         nearest = surface.nearest(genes[:, :3])
         points = surface.points[nearest]
-        outward = lean_from(surface.normals[nearest], nu, xi)
+        normals = surface.normals[nearest]
+        aside, _ = turned(*tangents(normals), xi)
+        outward = np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
         positions = points + (d + hand.palm_offset)[:, None] * outward
         return PriorPoses(
             positions, look_along(-outward, omega, hand), points, nu, np.zeros(len(genes), bool)
         )
-
-
-def lean_from(normals: Floats, nu: Floats, xi: Floats) -> Floats:
-    """Unit vectors (n, 3): `normals` leant by `nu` (n,) [rad], turned about them by `xi` (n,)."""
-    aside, _ = turned(*tangents(normals), xi)
-    return np.cos(nu)[:, None] * normals + np.sin(nu)[:, None] * aside
 
 
 def look_along(directions: Floats, omega: Floats, hand: SceneGripper) -> Floats:

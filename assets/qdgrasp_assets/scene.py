@@ -20,12 +20,11 @@ from qdgrasp_protocol.errors import MessageError
 Vector = tuple[float, float, float]
 
 FORMAT = 3  # Version of the bundle, raised when a field comes, goes or changes its meaning
-NEWER_FORMAT = (
-    4  # For scenes that name an engine, or whose trials disturb `physical`; others keep their bytes
-)
+NEWER_FORMAT = 4  # Version for scenes that name an engine, or whose trials disturb `physical`
 REACHED_FORMAT = 5  # Version for scenes with an approach or a table
 SURROUNDED_FORMAT = 6  # Version for scenes with neighbours
-FORMATS = (FORMAT, NEWER_FORMAT, REACHED_FORMAT, SURROUNDED_FORMAT)
+REGION_FORMAT = 7  # Version for scenes of whose object a part alone may be touched
+FORMATS = (FORMAT, NEWER_FORMAT, REACHED_FORMAT, SURROUNDED_FORMAT, REGION_FORMAT)
 
 
 class Joint(Struct, frozen=True, kw_only=True):
@@ -155,8 +154,7 @@ class SceneObject(Struct, frozen=True, kw_only=True):
     @property
     def triangles(self) -> NDArray[np.float32]:
         """(f, 3, 3) [m]: the corners of the surface mesh's triangles, CoM frame."""
-        corners: NDArray[np.float32] = self.vertices[self.mesh.faces]
-        return corners
+        return np.asarray(self.vertices[self.mesh.faces])
 
     @property
     def mesh(self) -> Mesh:
@@ -210,6 +208,8 @@ class Scene(Struct, frozen=True, kw_only=True):
     """Resting poses, in one of which the hand has to come above the table; none: there is no table."""
     neighbours: bytes = b""
     """Convex parts of the fixed bodies around the object, as one OBJ file, CoM frame; empty: none."""
+    allowed: bytes = b""
+    """Bits of points sampled on the mesh that say whether contacts may be there; empty: anywhere."""
 
     @property
     def surface_points(self) -> NDArray[np.float32]:
@@ -245,6 +245,10 @@ def pack_scene(scene: Scene) -> Bundle:
         values["format"] = SURROUNDED_FORMAT
     else:
         del values["neighbours"]
+    if scene.allowed:
+        values["format"] = REGION_FORMAT
+    else:
+        del values["allowed"]
     payload = bytes(msgpack.packb(values, use_bin_type=True))
     return Bundle(payload, hashlib.sha256(payload).hexdigest())
 

@@ -29,6 +29,7 @@ EXTENTS_TOLERANCE = 5e-5  # m; the table is rounded to 1e-5
 VOLUME_TOLERANCE = 1e-3  # share
 FRAME_TOLERANCE = 1e-3  # m; a mesh that lies further off is shifted to where it belongs
 MILLIMETRES = 1000.0
+SILENCE_LIMIT = 30.0  # s without a byte
 
 
 class Scan(Struct, frozen=True, forbid_unknown_fields=True):
@@ -66,13 +67,6 @@ def correct_mesh(mesh: Mesh, scan: Scan) -> Mesh:
         mesh = mesh.flipped()
     off = np.array(scan.low) - mesh.bounds[0]
     return mesh.moved(off) if np.abs(off).max() > FRAME_TOLERANCE else mesh
-
-
-def is_scan(mesh: Mesh, scan: Scan) -> bool:
-    """Return whether a corrected mesh has the measures of the table."""
-    is_of_size = np.allclose(mesh.extents, scan.extents, rtol=0, atol=EXTENTS_TOLERANCE)
-    is_of_volume = np.isclose(mesh.volume, scan.volume, rtol=VOLUME_TOLERANCE, atol=0)
-    return bool(is_of_size and is_of_volume and len(mesh.faces) == scan.faces)
 
 
 def lengths_in_words(extents: Iterable[float]) -> str:
@@ -175,9 +169,6 @@ def read_member(archive: Path, member: str) -> bytes:
         raise AssetError(f"'{archive.name}' is not a whole tar archive: {error}.") from None
 
 
-SILENCE_LIMIT = 30.0  # s without a byte
-
-
 def download(url: str, file: Path) -> None:
     """Download `url`, http or https, into `file`, whole or not at all.
 
@@ -246,7 +237,9 @@ def _accept(name: str, scan: Scan, archive: Path) -> Path:
         file = Path(folder) / Path(scan.member).name
         file.write_bytes(content)
         read = correct_mesh(read_mesh_file(file).mesh, scan)
-    if not is_scan(read, scan) or surface_faults(read):
+    is_of_size = np.allclose(read.extents, scan.extents, rtol=0, atol=EXTENTS_TOLERANCE)
+    is_of_volume = np.isclose(read.volume, scan.volume, rtol=VOLUME_TOLERANCE, atol=0)
+    if not (is_of_size and is_of_volume and len(read.faces) == scan.faces) or surface_faults(read):
         size = f"{lengths_in_words(read.extents)} m large, of {read.volume * 1e6:.2f} cm3"
         raise AssetError(f"it is not that scan, but {size} and {len(read.faces)} triangles.")
     mesh = fetched_mesh(name)

@@ -39,7 +39,7 @@ class Outcome(IntEnum):
     MISSED = 3
     """No finger touched the object while the hand closed."""
     BRUSHED = 4
-    """A finger touched the object while closing, but none does after it."""
+    """A finger touched the object while closing, but none does after it, or one outside the regions."""
     DROPPED = 5
     """A finger touches the object after closing; it survived no disturbance (fitness 0)."""
     SHAKEN = 6

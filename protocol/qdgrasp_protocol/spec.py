@@ -216,6 +216,10 @@ class RunSpec(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
     """How the object rests on a table, by `qdgrasp asset resting-poses`; default: no table."""
     scene: str | None = None
     """A file of the fixed bodies around the object (docs/where.md); default: there are none."""
+    on: tuple[str, ...] | None = None
+    """Region of the object that all contacts have to be in, or several (docs/where.md); default: anywhere."""
+    avoid: tuple[str, ...] | None = None
+    """Region of the object that no contact may be in, or several."""
     trials: Annotated[int, Meta(ge=1, le=TRIALS + HARD_TRIALS)] | None = None
     """Trials of each success under `robust`, of given poses 20 harder ones beyond 100; default 100."""
     aim_for: AimFor | None = None
@@ -437,6 +441,8 @@ def _type_words(info: msgspec.inspect.Type) -> str:
             return ", or ".join(_type_words(each) for each in info.types if not isinstance(each, NoneType))
         case msgspec.inspect.LiteralType():
             return "one of " + ", ".join(map(repr, info.values))
+        case msgspec.inspect.VarTupleType(item_type=msgspec.inspect.StrType()):
+            return "a list of texts"
         case msgspec.inspect.VarTupleType():
             is_list = isinstance(info.item_type, msgspec.inspect.FloatType)
             return "a list of numbers" if is_list else "lists of numbers"

@@ -6,7 +6,7 @@ from math import cos, radians, sin
 
 import numpy as np
 import pytest
-from tests.worker.genomes import evaluated, results
+from tests.worker.genomes import draw, evaluated, results
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
@@ -138,3 +138,16 @@ class TestApproach:
     def test_a_hand_that_would_come_through_the_object_overlaps(self, scene, depth):
         beyond = replace(ABOVE, position=[0.0, 0.0, depth])
         assert self.run(scene, beyond).outcome == Outcome.OVERLAP
+
+
+@pytest.mark.parametrize("engine", [None, "mujoco"])
+def test_a_grasp_touches_the_region_alone(engine):
+    scene, genomes = physical(engine, object="mug", on=("handle",)), draw(48, 4)
+    rows, backward = (evaluated(scene, "antipodal", each) for each in (genomes, genomes[::-1]))
+    assert backward[::-1].tobytes() == rows.tobytes()
+    is_contact = rows["contact_links"] > 0
+    x = rows["contact_points"].reshape(*is_contact.shape, -1)[..., 0] + scene.object.com_in_mesh[0]
+    nearest = np.where(is_contact, x, np.inf).min(axis=1)  # to where the handle begins
+    held, outside = rows["outcome"] >= Outcome.DROPPED, rows["outcome"] == Outcome.BRUSHED
+    assert nearest[held].min() > 0.0269
+    assert nearest[outside].min() < 0.026

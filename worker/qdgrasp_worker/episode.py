@@ -28,7 +28,7 @@ class EpisodeResult(NamedTuple):
 
     outcome: Outcome
     joints: list[float]
-    """Finger joints [rad or m] after closing if that was a success, else those at the start."""
+    """Finger joints [rad or m] after closing if fingers touch then, else those at the start."""
     finger_links: int = 0
     """Number of finger links that touch the object after closing."""
     penetration: float = 0.0
@@ -113,6 +113,8 @@ class Episode(ABC, Generic[AnyWorld]):
         if not fingers:
             return EpisodeResult(Outcome.BRUSHED if touched else Outcome.MISSED, pose.joints)
         closed = self._closed_grasp(pose, len(fingers))
+        if closed.contacts and self.world.allowed and not self.world.allowed.holds(closed.contacts):
+            return closed._replace(outcome=Outcome.BRUSHED)
         survived = self._survived()
         return closed._replace(outcome=outcome_of(survived, self.protocol.disturbances), fitness=survived)
 

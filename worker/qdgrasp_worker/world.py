@@ -11,9 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
-from qdgrasp_assets.scene import SceneGripper, Vector
+from qdgrasp_assets.geometry.surface_points import BORDER, sample_surface
+from qdgrasp_assets.scene import Scene, SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose
@@ -94,6 +96,22 @@ def seen_from(
     return list(map(GraspContact, links, points, normals, forces))
 
 
+class ContactRegion:
+    """The part of a scene's object that contacts may be on, by points sampled on its mesh."""
+
+    def __init__(self, scene: Scene) -> None:
+        bits = np.unpackbits(np.frombuffer(scene.allowed, np.uint8)).astype(bool)
+        points, _ = sample_surface(scene.object.mesh, len(bits), seed=0)
+        self._trees = KDTree(points[bits]), KDTree(points[~bits])
+
+    def holds(self, contacts: Sequence[GraspContact]) -> bool:
+        """Return whether all contacts are in the part, and off its border."""
+        points = np.reshape([contact.point for contact in contacts], (-1, 3))
+        inside, outside = (tree.query(points)[0] for tree in self._trees)
+        # both squares hold that of a point's height above the surface, which cancels
+        return bool(np.all(inside**2 + BORDER**2 <= outside**2))
+
+
 class GraspWorld(ABC):
     """A hand and an object in a physics engine, until `close`, as every episode uses them."""
 
@@ -108,8 +126,10 @@ class GraspWorld(ABC):
     steps = 0
     """Number of steps of physics that `step` has simulated."""
 
-    def __init__(self, gripper: SceneGripper) -> None:
-        self._gripper = gripper
+    def __init__(self, scene: Scene) -> None:
+        self._gripper = gripper = scene.gripper
+        self.allowed = ContactRegion(scene) if scene.allowed else None
+        """The part of the object that contacts may be on; None: all of it."""
         self.opened = [joint.opened for joint in gripper.joints]
         """The open posture [rad or m]."""
         self.approach_axis = gripper.approach_axis
@@ -241,13 +261,8 @@ class ShakenWorld(GraspWorld):
 
 def free_posture(gripper: SceneGripper, share: float) -> list[float]:
     """Return the open posture with all free joints at this share of their ranges."""
-    free = {joint.name: joint for joint in gripper.free_joints}
-    return [
-        free[joint.name].low + share * (free[joint.name].high - free[joint.name].low)
-        if joint.name in free
-        else joint.opened
-        for joint in gripper.joints
-    ]
+    places = {joint.name: joint.low + share * (joint.high - joint.low) for joint in gripper.free_joints}
+    return [places.get(joint.name, joint.opened) for joint in gripper.joints]
 
 
 def free_postures(gripper: SceneGripper) -> list[list[float]]:

@@ -49,29 +49,25 @@ class Mesh:
     @property
     def corners(self) -> Floats:
         """(f, 3, 3) [m]: the corners of each triangle."""
-        corners: Floats = self.vertices[self.faces]
-        return corners
+        return np.asarray(self.vertices[self.faces])
 
     @property
     def crosses(self) -> Floats:
         """(f, 3) [m2]: twice the area of each triangle, along its normal."""
         a, b, c = np.moveaxis(self.corners, 1, 0)
-        crosses: Floats = np.cross(b - a, c - a)
-        return crosses
+        return np.asarray(np.cross(b - a, c - a))
 
     @property
     def areas(self) -> Floats:
         """(f,) [m2]."""
-        areas: Floats = np.linalg.norm(self.crosses, axis=1) / 2
-        return areas
+        return np.asarray(np.linalg.norm(self.crosses, axis=1) / 2)
 
     @property
     def normals(self) -> Floats:
         """(f, 3), unit; zeros for triangles without area."""
         crosses = self.crosses
         lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
-        normals: Floats = np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
-        return normals
+        return np.asarray(np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0))
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -95,8 +91,7 @@ class Mesh:
     def cone_volumes(self) -> Floats:
         """(f,) [m3]: signed volumes of the tetrahedra between the triangles and the reference point."""
         a, b, c = np.moveaxis(self.corners - self.reference_point, 1, 0)
-        volumes: Floats = np.einsum("ij,ij->i", np.cross(a, b), c) / 6
-        return volumes
+        return np.asarray(np.einsum("ij,ij->i", np.cross(a, b), c) / 6)
 
     @property
     def volume(self) -> float:
@@ -107,8 +102,7 @@ class Mesh:
     def centre_of_mass(self) -> Floats:
         """(3,) [m]: centre of mass of the enclosed volume, at uniform density."""
         moments = self.cone_volumes[:, None] * (self.corners - self.reference_point).sum(axis=1) / 4
-        centre: Floats = moments.sum(axis=0) / self.volume + self.reference_point
-        return centre
+        return np.asarray(moments.sum(axis=0) / self.volume + self.reference_point)
 
     @property
     def inertia(self) -> Floats:
@@ -121,8 +115,7 @@ class Mesh:
         moments += np.einsum("f,fki,fkj->ij", volumes, corners, corners)
         centre = near.centre_of_mass
         spread = moments / 20 / near.volume - np.outer(centre, centre)
-        inertia: Floats = np.trace(spread) * np.eye(3) - (spread + spread.T) / 2
-        return inertia
+        return np.asarray(np.trace(spread) * np.eye(3) - (spread + spread.T) / 2)
 
     def scaled(self, scale: float) -> "Mesh":
         """Return the mesh with its coordinates multiplied by `scale`."""
@@ -218,8 +211,7 @@ def hull(points: Floats) -> Mesh:
 def heights(solid: Mesh, points: Floats) -> Floats:
     """Return the distances (n, f) [m] of points before a convex solid's faces; negative behind."""
     normals = solid.normals
-    found: Floats = points @ normals.T - np.einsum("fc,fc->f", normals, solid.corners[:, 0])
-    return found
+    return np.asarray(points @ normals.T - np.einsum("fc,fc->f", normals, solid.corners[:, 0]))
 
 
 def box(sides: tuple[float, float, float]) -> Mesh:

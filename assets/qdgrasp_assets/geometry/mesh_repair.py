@@ -75,8 +75,7 @@ class MeshEdges:
     @cached_property
     def open_edges(self) -> Numbers:
         """(k, 2): directed edges with one triangle only."""
-        open_edges: Numbers = self.directed[self.triangle_counts[self.edge_numbers] == 1]
-        return open_edges
+        return np.asarray(self.directed[self.triangle_counts[self.edge_numbers] == 1])
 
     @cached_property
     def holes(self) -> tuple[Numbers, ...]:
@@ -96,8 +95,7 @@ def edges_width(mesh: Mesh, edges: Numbers) -> float:
 def edges_middle(mesh: Mesh, edges: Numbers) -> Floats:
     """Return the middle (3,) [m] of the bounding box of edges (k, 2)."""
     points = mesh.vertices[edges.reshape(-1)]
-    centre: Floats = (points.min(axis=0) + points.max(axis=0)) / 2
-    return centre
+    return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
 
 
 def bodies(mesh: Mesh) -> Numbers:
@@ -194,20 +192,11 @@ def merge_vertices(mesh: Mesh) -> tuple[Mesh, str]:
     """Merge vertices at nearly the same place, which closes seams of textures and geometries."""
     size = mesh.extents.max() or 1.0
     places = np.round((mesh.vertices - mesh.vertices.min(axis=0)) / (TOUCHING * size))
-    first, merged = _unique_rows(places.astype(np.int64))
+    _, first, merged = np.unique(places.astype(np.int64), axis=0, return_index=True, return_inverse=True)
     fewer = len(mesh.vertices) - len(first)
     if not fewer:
         return mesh, ""
-    return Mesh(mesh.vertices[first], merged[mesh.faces]), f"{fewer} vertices merged with others"
-
-
-def _unique_rows(rows: Numbers) -> tuple[Numbers, Numbers]:
-    """Return where each row (n, 3) stands first, rows in order, and the number (n,) of each."""
-    order = np.lexsort(rows.T[::-1])
-    is_new = np.diff(rows[order], axis=0, prepend=-1).any(axis=1)
-    numbers = np.empty(len(rows), dtype=np.int64)
-    numbers[order] = np.cumsum(is_new) - 1
-    return order[is_new], numbers
+    return Mesh(mesh.vertices[first], merged.reshape(-1)[mesh.faces]), f"{fewer} vertices merged with others"
 
 
 def drop_doubled(mesh: Mesh) -> tuple[Mesh, str]:
@@ -227,11 +216,14 @@ def drop_degenerate(mesh: Mesh, *, keeps_one: bool = False) -> tuple[Mesh, str]:
     """Remove degenerate and duplicate triangles, and both of two back to back, or one of them."""
     corners = np.sort(mesh.faces, axis=1)
     whole = np.flatnonzero((np.diff(corners, axis=1) > 0).all(axis=1))
-    (first, groups), faces = _unique_rows(corners[whole]), mesh.faces[whole]
+    _, first, groups = np.unique(corners[whole], axis=0, return_index=True, return_inverse=True)
+    faces = mesh.faces[whole]
     # corners rise after the lowest one, or fall: opposite for triangles back to back
     rolled = np.take_along_axis(faces, (faces.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     rising = rolled[:, 1] < rolled[:, 2]
-    up, down = (np.bincount(groups, weights=way, minlength=len(first)) for way in (rising, ~rising))
+    up, down = (
+        np.bincount(groups.reshape(-1), weights=way, minlength=len(first)) for way in (rising, ~rising)
+    )
     kept = np.sort(whole[first[(up != down) | keeps_one]])
     dropped = len(mesh.faces) - len(kept)
     if not dropped:

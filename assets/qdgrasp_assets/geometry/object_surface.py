@@ -17,6 +17,7 @@ from qdgrasp_assets.scene import Scene
 MIN_EXIT_DISTANCE = 1e-4  # m: an exit nearer than this is the surface that the ray starts on
 EDGE_TOLERANCE = 1e-9  # distance beyond an edge that still counts, so that no ray passes between triangles
 BALL_MARGIN = 1e-6  # m: added to the balls around triangles, more than any rounding error
+NEAR_ALLOWED = 4e-3  # m: an exit farther than this from all points of a part that may be touched is none
 PAIRS_AT_ONCE = 1 << 20  # pairs of ray and triangle that are looked at at once
 
 
@@ -114,5 +115,8 @@ class ObjectSurface:
         jaw, corners = self._scene.gripper.jaw, self._scene.object.triangles.astype(np.float64)
         opening = 0.0 if jaw is None else jaw.opening
         distances, triangles = last_exits(self.points, -self.normals, corners, opening)
+        if self._scene.allowed:
+            ends = self.points - np.nan_to_num(distances)[:, None] * self.normals
+            distances[self._tree.query(ends)[0] > NEAR_ALLOWED] = np.nan
         first, second, third = np.moveaxis(corners[triangles], 1, 0)
         return OppositePoints(distances, unit(cross(second - first, third - first)))

@@ -51,7 +51,11 @@ def resting_poses(collision: bytes) -> tuple[RestingPose, ...]:
             falls[follow[face]] += falls[face]
             falls[face] = 0.0
     found = [
-        RestingPose(up=up, height=lowest(corners, up), probability=round(share, DECIMALS))
+        RestingPose(
+            up=up,
+            height=round(float(dot(corners, np.array(up)).min()), DECIMALS),
+            probability=round(share, DECIMALS),
+        )
         for up, share in merged(normals, falls)
     ]
     found.sort(key=lambda pose: [-round(value, TIED) for value in (pose.probability, *reversed(pose.up))])
@@ -85,8 +89,7 @@ def solid_angles(triangles: Floats) -> Floats:
     a, b, c = np.moveaxis(triangles, 1, 0)
     volumes = np.abs(dot(a, np.cross(b, c)))
     p, q, r = (np.sqrt(dot(each, each)) for each in (a, b, c))
-    angles: Floats = 2.0 * np.arctan2(volumes, p * q * r + dot(a, b) * r + dot(a, c) * q + dot(b, c) * p)
-    return angles
+    return np.asarray(2.0 * np.arctan2(volumes, p * q * r + dot(a, b) * r + dot(a, c) * q + dot(b, c) * p))
 
 
 def topples(triangles: Floats, normals: Floats, distances: Floats) -> list[int]:
@@ -123,8 +126,3 @@ def merged(normals: Floats, shares: Floats) -> list[tuple[Vector, float]]:
         found.append(((x, y, z), float(shares[waiting[is_same]].sum())))
         waiting = waiting[~is_same]
     return found
-
-
-def lowest(corners: Floats, up: Vector) -> float:
-    """Return the least component of corners (n, 3) [m] along `up`."""
-    return round(float(dot(corners, np.array(up)).min()), DECIMALS)

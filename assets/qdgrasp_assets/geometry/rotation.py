@@ -17,8 +17,7 @@ Floats: TypeAlias = NDArray[np.float64]
 
 def dot(a: Floats, b: Floats) -> Floats:
     """Return the scalar products (...) of vectors (..., 3)."""
-    product: Floats = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
-    return product
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
 def running_sum(values: Iterable[float]) -> float:
@@ -34,8 +33,7 @@ def unit(vectors: Floats) -> Floats:
     squares = np.zeros(vectors.shape[:-1])
     for i in range(vectors.shape[-1]):
         squares += vectors[..., i] * vectors[..., i]
-    scaled: Floats = vectors / np.sqrt(squares)[..., None]
-    return scaled
+    return np.asarray(vectors / np.sqrt(squares)[..., None])
 
 
 def tangents(normals: Floats) -> tuple[Floats, Floats]:
@@ -83,8 +81,7 @@ def rotate(quaternions: Floats, vectors: Floats) -> Floats:
 
 def conjugate(quaternions: Floats) -> Floats:
     """Return the inverse rotations (n, 4)."""
-    inverse: Floats = quaternions * np.array([-1.0, -1.0, -1.0, 1.0])
-    return inverse
+    return np.asarray(quaternions * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def from_frame(x: Floats, y: Floats, z: Floats) -> Floats:
@@ -104,8 +101,7 @@ def from_frame(x: Floats, y: Floats, z: Floats) -> Floats:
     )
     largest = np.argmax(np.einsum("iin->in", products), axis=0)
     quaternions = unit(products[largest, :, np.arange(len(largest))])
-    positive: Floats = np.where(quaternions[:, 3:] < 0.0, -quaternions, quaternions)
-    return positive
+    return np.asarray(np.where(quaternions[:, 3:] < 0.0, -quaternions, quaternions))
 
 
 def facing(direction: Sequence[float]) -> Floats:

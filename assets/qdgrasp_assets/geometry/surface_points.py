@@ -9,6 +9,7 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh
 
 POINTS_PER_METRE = 10_000  # "2000 points per 0.2 m of the diagonal of the object's bounding box"
 BULLET_MARGIN = 0.004  # m: what Bullet adds on each side of a compound of convex hulls at load
+BORDER = 1e-3  # m: distance from its border, along the surface, at which a part may be touched
 CHUNK = 1 << 17  # pairs of point and triangle that are compared at once: about 100 MB
 
 
@@ -53,12 +54,8 @@ def released_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, s
     return SurfacePoints(points, normals[nearest_triangle(points, triangles)], low, high)
 
 
-SURFACES = {
-    "paper": paper_surface,
-    "released": released_surface,
-    "robust": paper_surface,
-    "physical": paper_surface,
-    "lift": paper_surface,
+SURFACES = dict.fromkeys(("paper", "robust", "physical", "lift"), paper_surface) | {
+    "released": released_surface
 }
 
 

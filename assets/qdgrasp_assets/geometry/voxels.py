@@ -47,10 +47,6 @@ class Hull:
         planes = self.planes - np.array([0.0, 0.0, 0.0, by])
         return replace(self, planes=planes, low=self.low - by, high=self.high + by)
 
-    def shrunk(self, by: Floats) -> Self:
-        """The hull with each of its planes moved inward by `by` (p,) [m]."""
-        return replace(self, planes=np.column_stack([self.normals, self.planes[:, 3] + by]))
-
     def moved(self, frame: Floats) -> "Hull":
         """The hull in the frame that `frame` (4, 4) comes from."""
         rotation, shift = frame[:3, :3], frame[:3, 3]
@@ -122,8 +118,7 @@ class VoxelGrid:
             place = (values - self._origin[axis]) * np.float32(1.0 / self.pitch)
             flat *= np.int32(self.levels.shape[axis])
             flat += np.clip(place, np.float32(0.0), self._last[axis]).astype(np.int32)
-        found: NDArray[Kind] = self.levels.ravel()[flat]
-        return found
+        return np.asarray(self.levels.ravel()[flat])
 
 
 SOLID_PITCH = 1e-3  # The side of a voxel of a solid [m]; larger for one of more than `MOST_SOLID_VOXELS`
@@ -144,7 +139,8 @@ def solid_voxels(hulls: Sequence[Hull], low: Floats, high: Floats) -> VoxelGrid:
     voxels = VoxelGrid(low, high, pitch)
     for hull in hulls:
         reach = np.abs(hull.normals).sum(axis=1) * (pitch / 2)
-        voxels.mark(hull.shrunk(reach + SAFE_DEPTH), 1)
+        planes = np.column_stack([hull.normals, hull.planes[:, 3] + (reach + SAFE_DEPTH)])
+        voxels.mark(replace(hull, planes=planes), 1)  # each plane moved inward
     return voxels
 
 

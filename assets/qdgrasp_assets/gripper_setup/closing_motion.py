@@ -68,8 +68,7 @@ class ClosingMotion:
             return np.zeros(3)
         opened, closed = self.posture(0.0), self.posture(1.0)
         frame = self.body.robot.forward(opened)[joint.child][:3, :3]
-        axis: Floats = np.sign(closed[joint.name] - opened[joint.name]) * (frame @ joint.axis)
-        return axis
+        return np.asarray(np.sign(closed[joint.name] - opened[joint.name]) * (frame @ joint.axis))
 
     def rows(self) -> tuple[frozenset[int], ...]:
         """Return the sets of fingers, by number, that turn the same way; a single one is a set too."""
@@ -270,8 +269,7 @@ def grasp_centre(closing: ClosingMotion) -> Floats:
     """Return the middle of the fingertips of the half closed hand (3,) [m], base link's frame."""
     # that of a single finger is half-way to where it is closed on the palm
     shares = HALF_CLOSED if len(closing.fingers) > 1 else (*HALF_CLOSED, 1.0, 1.0)
-    centre: Floats = np.mean([closing.tips(share).mean(axis=0) for share in shares], axis=0)
-    return centre
+    return np.asarray(np.mean([closing.tips(share).mean(axis=0) for share in shares], axis=0))
 
 
 def approach_direction(closing: ClosingMotion) -> Floats:
@@ -325,8 +323,7 @@ def palm_normal(closing: ClosingMotion) -> Floats | None:
 
 def _box_middle(corners: Floats) -> Floats:
     """Return the middle (3,) of the box around corners (n, 3)."""
-    middle: Floats = (corners.min(axis=0) + corners.max(axis=0)) / 2
-    return middle
+    return np.asarray((corners.min(axis=0) + corners.max(axis=0)) / 2)
 
 
 def snap_to_axis(direction: Floats) -> Floats:

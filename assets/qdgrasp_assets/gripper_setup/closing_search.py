@@ -122,7 +122,7 @@ class ClosingSearch:
             closed |= group_posture(self.body, group, end)
         opened = {
             name: 0.0
-            if self._is_straight_at_zero(group, name)
+            if self._zero(name) == 0.0 and self._curls(group)
             else open_position(self.body, name, closed[name])
             for group, _ in choices.values()
             for name in group.joints
@@ -142,8 +142,7 @@ class ClosingSearch:
         frames = self._course(choices, resting)
         distances = self._distances([finger.tip(frames) for finger in self.fingers])
         shares = distances / np.maximum(distances[..., :1], 1e-6)
-        left: Floats = (shares.min(axis=-1) + shares[..., : len(COURSE) // 2].mean(axis=-1)) / 2
-        return left
+        return np.asarray((shares.min(axis=-1) + shares[..., : len(COURSE) // 2].mean(axis=-1)) / 2)
 
     def _course(
         self, choices: Mapping[int, Choice], resting: Mapping[str, float | Floats]
@@ -202,14 +201,12 @@ class ClosingSearch:
         group, end = choices[number]
         joint = self.body.joint(group.joints[-1])
         sense = group.senses[-1] * (1 if end else -1)
-        axis: Floats = sense * (frames[joint.child][:, 0, :3, :3] @ joint.axis)
-        return axis
+        return np.asarray(sense * (frames[joint.child][:, 0, :3, :3] @ joint.axis))
 
     @cached_property
     def _roots(self) -> Floats:
         """The middle of the fingers' roots (3,) [m]."""
-        middle: Floats = np.mean([finger_root(self.body, finger) for finger in self.fingers], axis=0)
-        return middle
+        return np.asarray(np.mean([finger_root(self.body, finger) for finger in self.fingers], axis=0))
 
     def _start(self, name: str) -> float:
         """Return zero, or the middle of the range where zero is not well within it."""
@@ -271,10 +268,6 @@ class ClosingSearch:
             posture = self.body.with_followers(group_posture(self.body, group, end))
             curls[end] = abs(sum(sign * posture.get(name, 0.0) for name, sign in turning.items()))
         return curls if len(turning) > 1 and max(curls.values()) > LEAST_CURL else {}
-
-    def _is_straight_at_zero(self, group: JointGroup, name: str) -> bool:
-        low, high = self.body.range(name)
-        return bool(low <= 0 <= high and self._curls(group))
 
     def _improve(self, number: int) -> None:
         """Choose a finger's closing joints, their direction, and the place of its other joints."""
@@ -351,13 +344,10 @@ class ClosingSearch:
             if any(are_deep(placed[link], placed[other], DEEP_OVERLAP) for link, other in pairs):
                 return False
         followed = {name for name, each in self.body.followers.items() if each.leader in resting}
-        beyond = {name for joint in followed for name in self._fingers_beyond(joint)} - {number}
+        children = [self.body.joint(joint).child for joint in followed]
+        moved = {link for child in children for link in self.body.robot.subtree(child).links}
+        beyond = {other for other, each in enumerate(self.fingers) if moved & set(each.links)} - {number}
         return all(self._is_beside_others(each, motion) for each in beyond)
-
-    def _fingers_beyond(self, joint: str) -> Iterable[int]:
-        """Yield the fingers that a joint moves, by number."""
-        links = set(self.body.robot.subtree(self.body.joint(joint).child).links)
-        return (number for number, finger in enumerate(self.fingers) if links & set(finger.links))
 
     def _spread(self, choices: dict[int, Choice], number: int, plain: Posture) -> Posture:
         """Return joints of a finger at zero, or half-way if it is in its neighbours there."""

@@ -110,21 +110,6 @@ CYLINDER_SIDES = 16
 CONCAVE = "concave"  # Attribute of a collision shape that Bullet takes as bare triangles, without an inside
 
 
-def link_convex_parts(robot: Urdf, files: Mapping[str, bytes]) -> Iterator[tuple[str, Floats]]:
-    """Yield the convex parts of a robot's links: link, and corners (v, 3) [m] in its frame.
-
-    Each part is the hull of its corners; `files` holds the robot's meshes by their names in it.
-    """
-    for link, collision in collision_elements(robot):
-        for corners in part_corners(robot, collision, files):
-            yield link, corners
-
-
-def is_all_convex(robot: Urdf, files: Mapping[str, bytes]) -> bool:
-    """Return whether every collision shape of a robot has convex parts."""
-    return all(any(True for _ in part_corners(robot, shape, files)) for _, shape in collision_elements(robot))
-
-
 CONVEX_KINDS = ("box", "sphere", "cylinder", ".stl", ".obj")
 """Shapes that every engine takes, meshes by the suffix of their file; Bullet takes others too."""
 
@@ -143,7 +128,7 @@ def check_convex(gripper: SceneGripper) -> None:
 
 
 def part_corners(robot: Urdf, collision: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
-    """Yield the corners (v, 3) of each part of a collision shape [m], link frame."""
+    """Yield the corners (v, 3) of each convex part of a collision shape [m], link frame."""
     geometry = collision.find("geometry")
     if geometry is None or not len(geometry) or collision.get(CONCAVE) is not None:
         return

@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.geometry.rotation import Floats, dot
 from qdgrasp_assets.geometry.voxels import Hull, Singles, convex_hulls
-from qdgrasp_assets.grippers.collision_shapes import (
-    CollisionShape,
-    is_all_convex,
-    link_convex_parts,
-    shapes,
-)
+from qdgrasp_assets.grippers.collision_shapes import CollisionShape, collision_elements, part_corners, shapes
 from qdgrasp_assets.grippers.urdf import Urdf, scene_robot
 from qdgrasp_assets.scene import SceneGripper
 
@@ -51,19 +46,17 @@ class HandGeometry:
     @cached_property
     def hulls(self) -> dict[str, list[Hull]]:
         """The convex parts of each link, link frame; flat ones are left out."""
-        parts = list(link_convex_parts(self.robot, self.gripper.meshes))
-        return {
-            link: convex_hulls(corners for name, corners in parts if name == link)
-            for link in self.robot.links
-        }
+        parts: dict[str, list[Floats]] = {link: [] for link in self.robot.links}
+        for link, collision in collision_elements(self.robot):
+            parts[link] += part_corners(self.robot, collision, self.gripper.meshes)
+        return {link: convex_hulls(corners) for link, corners in parts.items()}
 
     @cached_property
     def is_understood(self) -> bool:
         """True if all collision shapes are in `hulls`: all convex, none flat, none the carrier's."""
-        meshes = self.gripper.meshes
-        return is_all_convex(self.whole, meshes) and (
-            sum(map(len, self.hulls.values())) == len(list(link_convex_parts(self.whole, meshes)))
-        )
+        collisions = (each for _, each in collision_elements(self.whole))
+        parts = [len(list(part_corners(self.whole, each, self.gripper.meshes))) for each in collisions]
+        return all(parts) and sum(map(len, self.hulls.values())) == sum(parts)
 
     @cached_property
     def samples(self) -> "HandSurfaceSamples":
@@ -80,10 +73,6 @@ class HandGeometry:
         """The shapes of each link that has any, joined, in the link's frame [m]."""
         names = dict.fromkeys(shape.link for shape in self.shapes)
         return {name: join(shape for shape in self.shapes if shape.link == name) for name in names}
-
-    def is_finger(self, shape: CollisionShape) -> bool:
-        """Return whether the contact of a shape makes a success."""
-        return shape.link in self.gripper.finger_links
 
     def frames(self, postures: Floats) -> dict[str, Floats]:
         """The frame (n, 4, 4) of each link in the hand's, joints at `postures` (n, j) [rad or m]."""
@@ -216,8 +205,7 @@ def draw_points(hull: Hull, n: int, random: np.random.Generator) -> Floats:
     weights = random.dirichlet((1.0, 1.0, 1.0), n)
     centre = hull.triangles.reshape(-1, 3).mean(axis=0)
     depth = np.where(random.random(n) < DEEP_SHARE, random.random(n) ** (1 / 3), 1.0) * SURFACE_SCALE
-    drawn: Floats = centre + depth[:, None] * ((weights[:, :, None] * triangles).sum(axis=1) - centre)
-    return drawn
+    return np.asarray(centre + depth[:, None] * ((weights[:, :, None] * triangles).sum(axis=1) - centre))
 
 
 def farthest_points(points: Floats) -> NDArray[np.int64]:

@@ -20,9 +20,7 @@ TENDON_WEIGHT, SHARE_WEIGHT, SPRING_WEIGHT, REST_WEIGHT = 0.1, 1e-2, 1e-4, 1e-6
 SLACK_SHARE = 0.25
 """A tendon couples joints if its limits leave one of them at most this share of its range."""
 POSITIONS = 11  # Positions of a leader at which its followers are found
-OPEN_LOOP = (
-    1e-3  # Equalities that are left open by more are not met [rad, m of the joint that moves them most]
-)
+OPEN_LOOP = 1e-3  # Equalities left open by more are not met [rad, m of the joint that moves them most]
 LEAST_FITTED = 3  # Positions of a follower between its limits that are enough for a fit to these alone
 LEAST_CLOSED = 0.5  # Share of the leader's positions at which equalities are to be met
 COUPLED = 1e-3  # Least change with a joint, beside the greatest one, that counts

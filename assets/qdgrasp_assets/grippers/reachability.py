@@ -30,7 +30,7 @@ from qdgrasp_assets.geometry.voxels import (
     transform_points,
 )
 from qdgrasp_assets.grippers.hand_geometry import POINTS_AT_ONCE, STAGES, hand_geometry
-from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, Vector
+from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper
 from qdgrasp_protocol.spec import APPROACH_DISTANCE, RunSpec
 
 APPROACH_STEP = 2e-3  # Distance between two looks at a hand on its way [m]
@@ -82,19 +82,17 @@ class HandApproach:
             hit |= inside.at(x - way * dx, y - way * dy, z - way * dz).any(axis=1)
         return hit
 
-    def heights(self, up: Vector, hands: Hands) -> Floats:
-        """Return the least component along `up`, CoM frame, of hands on their way: (n,) [m]."""
-        positions, quaternions, postures = hands
-        turns = unit(quaternions.astype(np.float64))
-        above = rotate(conjugate(turns), np.broadcast_to(np.array(up), (len(turns), 3)))
-        ends = self._surface.lowest(above, postures) + dot(positions.astype(np.float64), np.array(up))
-        return np.asarray(ends - self._distance * np.maximum(dot(above, self._axis), 0.0))
-
     def clear_of(self, poses: Sequence[RestingPose], hands: Hands) -> NDArray[np.bool_]:
         """Return which hands (n, r) stay above the table in each of the object's resting poses."""
-        heights = [self.heights(pose.up, hands) - pose.height for pose in poses]
-        found = np.array(heights).reshape(len(poses), len(hands[0])).T
-        return np.asarray(found.round(HEIGHT_DECIMALS) >= 0.0)
+        positions, quaternions, postures = hands
+        turns, is_above = unit(quaternions.astype(np.float64)), np.zeros((len(positions), len(poses)), bool)
+        for number, pose in enumerate(poses):
+            up = np.array(pose.up)
+            above = rotate(conjugate(turns), np.broadcast_to(up, (len(turns), 3)))
+            ends = self._surface.lowest(above, postures) + dot(positions.astype(np.float64), up)
+            heights = ends - self._distance * np.maximum(dot(above, self._axis), 0.0) - pose.height
+            is_above[:, number] = heights.round(HEIGHT_DECIMALS) >= 0.0
+        return is_above
 
 
 class Reach(NamedTuple):
@@ -110,9 +108,7 @@ class Reach(NamedTuple):
     @property
     def is_reachable(self) -> NDArray[np.bool_]:
         """(n,): True where it comes clear of the object, and of the table if there is one."""
-        if not self.is_above.shape[1]:
-            return self.is_clear
-        return np.asarray(self.is_clear & self.is_above.any(axis=1))
+        return np.asarray(self.is_clear & (self.is_above.any(axis=1) | (not self.is_above.shape[1])))
 
 
 class ReachabilityCheck:

@@ -338,8 +338,7 @@ def _rotation(axis: Floats, angle: float | Floats) -> Floats:
     """Return rotations (..., 3, 3) by `angle` [rad] about a unit axis (Rodrigues' formula)."""
     x, y, z = axis
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: Floats = np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * (skew @ skew)
-    return rotation
+    return np.asarray(np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * (skew @ skew))
 
 
 def _transform(rotation: Floats, translation: Floats) -> Floats:
@@ -402,9 +401,7 @@ def add_file(files: dict[str, bytes], stem: str, suffix: str, content: bytes) ->
 MOST_LINKS = 1000  # Links of a robot
 XACRO_TAG = re.compile(r"\{http[^}]*xacro\}|xacro:")  # Tags that only a xacro file has
 XACRO_SUBSTITUTION = re.compile(r"\$[({]")  # Beginning of an expression that xacro replaces, in attributes
-PREFIX = re.compile(
-    r"<(?!xacro:)([\w.-]+):"
-)  # Of a tag, such as those of Drake, which many files do not declare
+PREFIX = re.compile(r"<(?!xacro:)([\w.-]+):")  # Of a tag, such as Drake's, which many files do not declare
 XML_ENCODING = re.compile(rb"""(?:\xef\xbb\xbf)?<\?xml[^>]*?\sencoding=["']([\w.:-]+)""")
 OTHER_FORMATS = {
     "sdf": "an SDF file, which describes worlds for Gazebo; look for the robot's URDF, or export one from it",

@@ -287,7 +287,8 @@ def full_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:
     """
     spec = complete_spec(values, where)
     files = {key: absolute_asset(getattr(spec, key)) for key in ("gripper", "object", "scene")}
-    return structs.replace(spec, **files)
+    regions = {key: tuple(map(absolute_asset, getattr(spec, key) or ())) or None for key in ("on", "avoid")}
+    return structs.replace(spec, **files, **regions)
 
 
 def complete_spec(values: dict[str, Any], where: str = "spec") -> RunSpec:

@@ -201,7 +201,8 @@ class CampaignRunQueue(RunQueue):
         if reply.key not in self._shapes:
             words = f"The shape of '{Path(name).name}' cannot be kept in the cache: it is built again."
             return ShapeWarning(name, words)
-        return ShapeWarning(name, f"'{Path(name).name}': {shape.warning}.") if shape.warning else None
+        words = "; ".join(shape.notes)
+        return ShapeWarning(name, f"'{Path(name).name}': {words}.") if words else None
 
     def _look_at_next(self) -> None:
         """Find out whether the next run waits for a shape."""

@@ -22,6 +22,7 @@ SPEC, END, CHOICE = "Hand, object, search and evaluation", "End", "Choice of gra
 """Headings of options in the help of commands."""
 KEY_TEXTS = key_texts()
 KEY_TYPES = {field.name: msgspec.inspect.type_info(field.type) for field in msgspec.structs.fields(RunSpec)}
+PLAIN_TYPES = {"LiteralType": str, "IntType": int, "FloatType": float, "VarTupleType": list[str]}
 FLAG_NAMES = {"scale": "units"}
 """Flags that are not called as the keys of a spec that they give."""
 UNITS_HELP = "Unit of the mesh file: mm, cm, m or in, or how many metres it is; default m."
@@ -95,10 +96,8 @@ def spec_flags(
 def _flag(key: str) -> Any:
     info = KEY_TYPES[key]
     kinds = info.types if isinstance(info, msgspec.inspect.UnionType) else (info,)
-    plain: Any = str
-    if not any(isinstance(each, msgspec.inspect.LiteralType) for each in kinds):
-        plain = int if any(isinstance(each, msgspec.inspect.IntType) for each in kinds) else plain
-        plain = float if any(isinstance(each, msgspec.inspect.FloatType) for each in kinds) else plain
+    names = {type(each).__name__ for each in kinds}
+    plain = next((plain for name, plain in PLAIN_TYPES.items() if name in names), str)
     flag = f"--{key.replace('_', '-')}"
     return Annotated[plain | None, typer.Option(flag, help=KEY_TEXTS[key], rich_help_panel=SPEC)]
 

@@ -61,8 +61,8 @@ HAND = "gripper"  # Folder of a run with the guessed file of its hand
 
 
 @options.spec_flags(
-    "gripper", "object", "mass", "units", "mesh", "method", "aim_for", "diversity", "seed", "protocol",
-    "engine", "resting_pose", "scene", "evaluations", "grasps",
+    "gripper", "object", "mass", "units", "mesh", "on", "avoid", "method", "seed", "protocol", "engine",
+    "resting_pose", "scene", "evaluations", "grasps",
 )  # fmt: skip
 def run(
     keys: dict[str, Any],

@@ -103,7 +103,7 @@ def draw_gripper(gripper: SceneGripper, path: Path | BinaryIO) -> None:
     root = np.concatenate([np.zeros(3), upright.as_quat()])
     panels = {
         name: [
-            (Mesh(vertices, shape.faces), rgb(FINGER_HUES[0] if hand.is_finger(shape) else CLAY))
+            (Mesh(vertices, shape.faces), rgb(FINGER_HUES[0] if shape.link in gripper.finger_links else CLAY))
             for shape, vertices in hand.place_meshes(root, np.array(joints))
         ]
         for name, joints in postures.items()

@@ -101,7 +101,7 @@ def _image_of_hands(
 ) -> LayeredImage:
     body, hand = scene.object.mesh, hand_geometry(scene.gripper)
     links = [
-        (Mesh(vertices, shape.faces), hue, hand.is_finger(shape))
+        (Mesh(vertices, shape.faces), hue, shape.link in hand.gripper.finger_links)
         for hue, pose, posture in zip(
             cycle(map(rgb, FINGER_HUES)), settled_poses(rows), rows["joints"], strict=False
         )

@@ -68,7 +68,7 @@ OUTCOME_MEANINGS = {
     Outcome.DEAD_END: "there was no pose to simulate",
     Outcome.OVERLAP: "the open hand overlaps the object",
     Outcome.MISSED: "no finger touched the object",
-    Outcome.BRUSHED: "a finger touched while closing, none after it",
+    Outcome.BRUSHED: "a finger touched while closing, none after it, or one outside the region",
     Outcome.DROPPED: "a finger touches after closing; no disturbance was survived",
     Outcome.SHAKEN: "some of the disturbances were survived",
     Outcome.HELD: "every disturbance was survived",

@@ -10,10 +10,7 @@ from scipy.spatial import ConvexHull
 
 from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.geometry.mesh import parse_parts
-from qdgrasp_assets.grippers.collision_shapes import (
-    link_convex_parts,
-    shapes,
-)
+from qdgrasp_assets.grippers.collision_shapes import collision_elements, part_corners, shapes
 from qdgrasp_assets.grippers.urdf import parse_robot
 from qdgrasp_protocol.spec import RunSpec
 
@@ -26,7 +23,12 @@ TWO = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n{0} one\nf 1 2 3\nf 1/1 2/2/2 4//4\nv
 
 def parts_of(geometry, files=None, origin="", attributes=""):
     robot = parse_robot(Path("one"), ElementTree.fromstring(LINK.format(attributes, origin, geometry)))  # noqa: S314 - written above
-    return [corners for _, corners in link_convex_parts(robot, files or {})]
+    return [corners for _, corners in link_parts(robot, files or {})]
+
+
+def link_parts(robot, files):
+    found = collision_elements(robot)
+    return [(link, corners) for link, each in found for corners in part_corners(robot, each, files)]
 
 
 @pytest.mark.parametrize("gripper", ["panda", "barrett", "allegro", "shadow", "robotiq_2f"])
@@ -34,7 +36,7 @@ def test_the_parts_of_a_hand_lie_within_its_shapes_and_nearly_fill_them(gripper)
     hand = build_scene(RunSpec(gripper=gripper, object="tennis_ball")).gripper
     robot = parse_robot(Path(), ElementTree.fromstring(hand.urdf))  # noqa: S314 - our own
     expected = [(shape.link, ConvexHull(shape.vertices)) for shape in shapes(robot, hand.meshes)]
-    found = list(link_convex_parts(robot, hand.meshes))
+    found = link_parts(robot, hand.meshes)
     assert [link for link, _ in found] == [link for link, _ in expected]
     for (_, corners), (_, hull) in zip(found, expected, strict=True):
         heights = corners @ hull.equations[:, :3].T + hull.equations[:, 3]

@@ -64,7 +64,7 @@ class BulletWorld(GraspWorld):
     _links_meet = False
 
     def __init__(self, scene: Scene) -> None:
-        super().__init__(scene.gripper)
+        super().__init__(scene)
         self._bullet = Bullet()
         with ExitStack() as undo:
             undo.callback(self._bullet.close)

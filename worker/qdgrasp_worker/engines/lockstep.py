@@ -159,6 +159,9 @@ class LockstepEpisodes:
             for each, setup in zip(touched, self._setups, strict=True)
         ]
         grasps = self._settle(np.flatnonzero(touched & self.is_trusted))
+        if region := self._world.allowed:
+            for row in [row for row, grasp in grasps.items() if not region.holds(grasp.contacts)]:
+                results[row] = grasps.pop(row)._replace(outcome=Outcome.BRUSHED)
         for row, survived in zip(grasps, self._push(np.array([*grasps], dtype=np.intp)), strict=True):
             outcome = outcome_of(survived, len(PUSHES))
             results[row] = grasps[row]._replace(outcome=outcome, fitness=survived)
@@ -171,7 +174,9 @@ class LockstepEpisodes:
         n, model = len(self._setups), simulation.model
         sizes = {"qpos": model.nq, "qvel": model.nv, "act": model.na, "qacc_warmstart": model.nv}
         states: States = {name: np.zeros((n, size)) for name, size in (sizes | {"ctrl": model.nu}).items()}
-        couplings = [simulation.coupled(self._closing(setup)) for setup in self._setups]
+        couplings = [
+            simulation.coupled(self._world.closing_joints(setup.pose.synergy)) for setup in self._setups
+        ]
         states["eq_active"] = np.array(couplings, dtype=bool).reshape(n, -1)
         states["force"], states["friction"] = np.zeros((n, 3)), self._friction
         states["qpos"][:, simulation.places] = self._joints
@@ -185,12 +190,9 @@ class LockstepEpisodes:
             states["damping"] = np.zeros((n, 0))
         return states
 
-    def _closing(self, setup: TrialSetup) -> list[str]:
-        return self._world.closing_joints(setup.pose.synergy)
-
     def _started(self, setup: TrialSetup) -> FingerControl:
         control = FingerControl(self._world.drives, is_coupled=self._world.is_coupled)
-        control.start(setup.pose.joints, self._closing(setup), setup.preload)
+        control.start(setup.pose.joints, self._world.closing_joints(setup.pose.synergy), setup.preload)
         return control
 
     def _close(self) -> NDArray[np.bool_]:

@@ -140,8 +140,7 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
     """A world whose joints have motors like Bullet's."""
 
     def __init__(self, scene: Scene) -> None:
-        gripper = scene.gripper
-        super().__init__(gripper)
+        super().__init__(scene)
         self._scene = SceneModel(scene, TIME_STEP)
         self._prepare(scene, Simulation(self._scene, self._scene.shaken()))
         joints = [joint.name for joint in self._scene.robot.joints if joint.moves]
@@ -214,7 +213,7 @@ class MujocoPhysicalWorld(MujocoWorld, PhysicalWorld):
 
     def __init__(self, scene: Scene, physics: Physics, table: RestingPose | None = None) -> None:
         gripper = scene.gripper
-        super().__init__(gripper)
+        super().__init__(scene)
         self.physics, self.table, self.steps_at_once = physics, table, physics.look_every
         self.step_seconds = self.steps_at_once * physics.time_step
         self._up = table.up if table else NO_TABLE_UP

@@ -1,0 +1,114 @@
+"""Regions of an object: the places that a hand may touch, and those that it must not.
+
+A region is numbers in the frame of the object's mesh [m], a mesh file in that frame, or a name in the table
+`[regions]` of a TOML file. When a scene is built, they become a bit for each of many points on the surface.
+"""
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from qdgrasp_assets.asset_paths import named_path, on_asset_path, read_table
+from qdgrasp_assets.geometry.mesh import Floats, Mesh
+from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, read_mesh_file
+from qdgrasp_assets.geometry.mesh_repair import is_surface, point_in_words
+from qdgrasp_assets.geometry.proximity import SKEW_DIRECTION, inside_count
+from qdgrasp_assets.geometry.surface_points import BORDER, sample_surface
+from qdgrasp_assets.grippers.urdf import numbers_in
+from qdgrasp_assets.scene import Scene, vector
+from qdgrasp_assets.stand_ins import MESHES
+from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
+from qdgrasp_protocol.spec import RunSpec
+
+SAMPLES_PER_AREA = 4e6  # Points on the surface [1/m2]: half a millimetre apart
+MOST_SAMPLES = 1 << 20
+SHAPES = {"box": "x0,y0,z0,x1,y1,z1", "ball": "x,y,z,r", "above": "z"}
+"""Kinds of regions in numbers [m]."""
+HINT = "Or write box:x0,y0,z0,x1,y1,z1, ball:x,y,z,r or above:z, in m, or name a mesh file."
+
+
+def with_regions(scene: Scene, spec: RunSpec) -> Scene:
+    """Return a scene whose contacts have to be in the regions of its spec.
+
+    They are in one of `on` and none of `avoid`, and so are its surface points. Raises `UnknownName` for the
+    name of no region, `AssetError` for a region that holds no part of the surface, or where nothing is left.
+    """
+    from scipy.spatial import KDTree  # takes its time
+
+    mesh, com = scene.object.mesh, np.array(scene.object.com_in_mesh)
+    points, drawn = _samples(mesh)
+    on, avoid = ([_mask(each, spec, points + com) for each in names or ()] for names in (spec.on, spec.avoid))
+    allowed = (np.any(on, axis=0) if on else True) & ~np.any([np.zeros(len(points), bool), *avoid], axis=0)
+    inner = np.flatnonzero(allowed & (KDTree(points[~allowed]).query(points)[0] >= BORDER))
+    if not len(inner):
+        raise AssetError(
+            f"The regions leave nothing of '{spec.object}' that is {1000 * BORDER:g} mm off their borders."
+        )
+    chosen = inner[: len(scene.surface_points)]
+    return structs.replace(
+        scene,
+        allowed=np.packbits(allowed).tobytes(),
+        points=points[chosen].astype("<f4").tobytes(),
+        normals=mesh.normals[drawn[chosen]].astype("<f4").tobytes(),
+        finder_low=vector(points[chosen].min(axis=0)),
+        finder_high=vector(points[chosen].max(axis=0)),
+    )
+
+
+def _samples(mesh: Mesh) -> tuple[Floats, NDArray[np.int64]]:
+    """Draw points (n, 3) [m] on a mesh, with their faces (n,); n is a multiple of 8."""
+    return sample_surface(
+        mesh, 8 * int(min(SAMPLES_PER_AREA * mesh.areas.sum(), MOST_SAMPLES) / 8 + 1), seed=0
+    )
+
+
+def _mask(name: str, spec: RunSpec, points: Floats) -> NDArray[np.bool_]:
+    """Return which points (n, 3) [m] on an object are in a region, frame of its mesh."""
+    said = _said_regions(spec.object)
+    region = said.get(name, name)
+    if region.partition(":")[0] in SHAPES:
+        mask = _in_shape(region, points)
+    elif named_path(region).suffix.lower() in (*READABLE_FORMATS, *FORMAT_PACKAGES):
+        mask = _on_mesh(read_mesh_file(named_path(region)).mesh.scaled(spec.scale or 1.0), points)
+    else:
+        raise UnknownName("region", name, said, HINT)
+    if not mask.any():
+        low, high = (point_in_words(end) for end in (points.min(axis=0), points.max(axis=0)))
+        raise AssetError(
+            f"The region '{name}' holds no part of the surface of '{spec.object}', which goes from {low} to "
+            f"{high} m in the frame of its mesh; say it in that frame, and in m."
+        )
+    return mask
+
+
+def _said_regions(name: str) -> dict[str, str]:
+    """Return the regions in an object's TOML, beside its mesh or on the asset path."""
+    beside = named_path(name).with_suffix(".toml")
+    places = MESHES / f"{name}.toml", on_asset_path(f"objects/{name}.toml"), beside
+    file = next((place for place in places if place and place.is_file()), None)
+    tables = read_table(file, dict[str, dict[str, str]], "object", "docs/where.md") if file else {}
+    return tables.get("regions", {})
+
+
+def _in_shape(region: str, points: Floats) -> NDArray[np.bool_]:
+    """Return which points (n, 3) [m] are in a region in numbers."""
+    kind, _, text = region.partition(":")
+    numbers = np.array(numbers_in(text.replace(",", " ")))
+    if len(numbers) != SHAPES[kind].count(",") + 1:
+        raise ImpossibleValue("A region", region, f"{kind}:{SHAPES[kind]}, in m")
+    if kind == "box":
+        low, high = np.sort(numbers.reshape(2, 3), axis=0)
+        return np.asarray(((points >= low) & (points <= high)).all(axis=1))
+    if kind == "ball":
+        return np.asarray(np.linalg.norm(points - numbers[:3], axis=1) <= numbers[3])
+    return np.asarray(points[:, 2] >= numbers[0])
+
+
+def _on_mesh(region: Mesh, points: Floats) -> NDArray[np.bool_]:
+    """Return which points (n, 3) [m] are near the surface of a region, or inside it."""
+    from scipy.spatial import KDTree
+
+    mask = KDTree(_samples(region)[0]).query(points)[0] <= BORDER
+    if is_surface(region):
+        mask |= inside_count(region, points, np.tile(SKEW_DIRECTION, (len(points), 1))) > 0
+    return np.asarray(mask)
