@@ -65,6 +65,7 @@ MESHES = {
     "sheet": lambda: trimesh.creation.box((0.06, 0.05, 0.001)),
     "bead": lambda: trimesh.creation.icosphere(radius=0.002),
     "apart": lambda: apart(0.002),
+    "open": lambda: trimesh.creation.box(SIDES).submesh([range(1, 12)], append=True),
     "split": lambda: split(trimesh.creation.box(SIDES)),
 }
 

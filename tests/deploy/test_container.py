@@ -20,7 +20,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRA_NEEDS = PROJECT["project"]["optional-dependencies"]
 HEAD_NEEDS = [
     *PROJECT["project"]["dependencies"],
-    *(each for name in EXTRAS if name != "gpu" for each in EXTRA_NEEDS[name]),
+    *(each for name in EXTRAS.keys() - {"arm", "gpu"} for each in EXTRA_NEEDS[name]),
 ]
 PIN = re.compile(r"^([A-Za-z0-9_.-]+)==(\S+) \\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", re.MULTILINE)
 

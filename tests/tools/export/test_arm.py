@@ -15,9 +15,9 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.cli.main import app
+from qdgrasp_tools.export.arm import Arm
 from qdgrasp_tools.export.grasp_table import to_matrices
 
-pytest.importorskip("pinocchio", reason="the extra arm is not installed")
 PANDA = Path(pytest.importorskip("pybullet_data").getDataPath(), "franka_panda", "panda.urdf")
 BASE, ON_FLANGE = (-0.5, 0.1, -0.2, 0.0, 0.0, 0.3), (0.0, 0.01, 0.02, 0.1, 0.2, -0.7)
 AXIS, DISTANCE = np.array([0.0, 0.0, 1.0]), 0.1
@@ -30,8 +30,6 @@ def matrix(pose: tuple[float, ...]) -> np.ndarray:
 
 
 def test_the_hand_is_at_each_pose_and_on_the_way_there_where_an_arm_reaches_it() -> None:
-    from qdgrasp_tools.export.arm import Arm
-
     arm, robot = Arm(PANDA, "mesh", BASE, "palm", "panda_hand", ON_FLANGE), read_urdf(PANDA)
     names = [joint.name for joint in robot.joints if joint.kind == "revolute"]
     turns = Rotation.random(80, random_state=0)
