@@ -13,9 +13,9 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, read_mesh_file
 from qdgrasp_assets.geometry.mesh_repair import is_surface, point_in_words
 from qdgrasp_assets.geometry.proximity import SKEW_DIRECTION, inside_count
-from qdgrasp_assets.geometry.surface_points import BORDER, sample_surface
+from qdgrasp_assets.geometry.surface_points import sample_surface
 from qdgrasp_assets.grippers.urdf import numbers_in
-from qdgrasp_assets.scene import Scene, vector
+from qdgrasp_assets.scene import BORDER, Scene, vector
 from qdgrasp_assets.stand_ins import MESHES
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.spec import RunSpec

@@ -24,6 +24,7 @@ NEWER_FORMAT = 4  # Version for scenes that name an engine, or whose trials dist
 REACHED_FORMAT = 5  # Version for scenes with an approach or a table
 SURROUNDED_FORMAT = 6  # Version for scenes with neighbours
 REGION_FORMAT = 7  # Version for scenes of whose object a part alone may be touched
+BORDER = 1e-3  # Distance along the surface that contacts keep from the border of what is allowed [m]
 FORMATS = (FORMAT, NEWER_FORMAT, REACHED_FORMAT, SURROUNDED_FORMAT, REGION_FORMAT)
 
 

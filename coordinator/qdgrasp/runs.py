@@ -23,7 +23,7 @@ from qdgrasp_tools.campaign.campaign_folder import open_campaign
 from qdgrasp_tools.export.grasp_reader import ALL_FAILURES, GraspChoice, choose_grasps, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import arrow_table, frame_of, load_pandas
-from qdgrasp_tools.report.row_report import RunSummary, run_summary
+from qdgrasp_tools.report.run_report import RunSummary, run_summary
 
 SAMPLE_ROWS = 8192  # Grasps that are made into a table of Arrow at once
 

@@ -21,7 +21,7 @@ from tests.common import PATIENCE, own_endpoint, wait_for
 from qdgrasp import entry
 from qdgrasp_coordinator.storage.run_folder import RunFolder, journal_digest
 from qdgrasp_protocol.errors import FolderError
-from qdgrasp_tools.report.row_report import run_summary
+from qdgrasp_tools.report.run_report import run_summary
 
 COORDINATOR, RECORDER, ROUTER = (
     f"qdgrasp_tools.cli.job_processes {name}" for name in ("coordinator", "recorder", "router")

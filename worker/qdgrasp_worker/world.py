@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
-from qdgrasp_assets.geometry.surface_points import BORDER, sample_surface
-from qdgrasp_assets.scene import Scene, SceneGripper, Vector
+from qdgrasp_assets.geometry.surface_points import sample_surface
+from qdgrasp_assets.scene import BORDER, Scene, SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
 from qdgrasp_worker.decoder import HandPose

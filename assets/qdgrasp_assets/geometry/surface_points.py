@@ -9,7 +9,6 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh
 
 POINTS_PER_METRE = 10_000  # "2000 points per 0.2 m of the diagonal of the object's bounding box"
 BULLET_MARGIN = 0.004  # m: what Bullet adds on each side of a compound of convex hulls at load
-BORDER = 1e-3  # m: distance from its border, along the surface, at which a part may be touched
 CHUNK = 1 << 17  # pairs of point and triangle that are compared at once: about 100 MB
 
 

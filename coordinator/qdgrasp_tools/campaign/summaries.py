@@ -30,7 +30,7 @@ from qdgrasp_protocol.text import aligned_text, counted
 from qdgrasp_tools.campaign.campaign_file import read_campaign
 from qdgrasp_tools.campaign.campaign_folder import campaign_progress
 from qdgrasp_tools.campaign.object_library import SkippedObject, read_skip_report
-from qdgrasp_tools.report.row_report import report_table
+from qdgrasp_tools.report.run_report import report_table
 
 LITTLE_SHARE = 0.1
 """An object got little with less than this share of the median object's grasps or cells, for each run."""

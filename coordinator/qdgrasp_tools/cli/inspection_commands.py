@@ -26,7 +26,7 @@ from qdgrasp_tools.cli import options
 from qdgrasp_tools.cli.options import host_and_port
 from qdgrasp_tools.local.progress import progress_display
 from qdgrasp_tools.local.supervisor import LocalJobConfig
-from qdgrasp_tools.report.row_report import report_table, row_report, run_summary
+from qdgrasp_tools.report.run_report import report_table, row_report, run_summary
 from qdgrasp_tools.verification.comparison import VerificationReport
 from qdgrasp_tools.verification.verify import (
     EngineComparison,

@@ -33,7 +33,7 @@ from qdgrasp_tools.campaign.ranking import write_ranking
 from qdgrasp_tools.cli import options
 from qdgrasp_tools.local.progress import ProgressDisplay, progress_display, progress_messages
 from qdgrasp_tools.local.supervisor import LocalJobConfig, Supervisor, check_engines, score_genomes
-from qdgrasp_tools.report.row_report import genome_reader, run_summary
+from qdgrasp_tools.report.run_report import genome_reader, run_summary
 from qdgrasp_tools.verification.wrong_rows import take_errors_back
 
 

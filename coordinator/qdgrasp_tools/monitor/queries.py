@@ -241,7 +241,7 @@ class QueryServer(ExitStack):
 
     def finds(self, query: Query) -> bytes:
         """Return successes of the run `run` from journal number `from` on."""
-        from qdgrasp_tools.report.row_report import row_context
+        from qdgrasp_tools.report.run_report import row_context
 
         run = _parameters(query).get("run", "")
         path = JobFolder(self._path).run_path(run)

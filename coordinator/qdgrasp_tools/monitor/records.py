@@ -23,7 +23,7 @@ from qdgrasp_protocol.errors import FolderError, UnknownName
 from qdgrasp_protocol.keys import NAME, Keys
 from qdgrasp_protocol.messages import SuccessPage
 from qdgrasp_protocol.text import printable
-from qdgrasp_tools.report.row_report import row_context
+from qdgrasp_tools.report.run_report import row_context
 
 
 class JournalId(NamedTuple):

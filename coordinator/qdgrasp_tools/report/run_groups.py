@@ -27,7 +27,7 @@ from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import FolderError
 from qdgrasp_protocol.rows import GIVEN, Outcome
 from qdgrasp_protocol.spec import RunSpec
-from qdgrasp_tools.report.row_report import RunSummary, read_summary
+from qdgrasp_tools.report.run_report import RunSummary, read_summary
 
 MethodVariant = tuple[str, str]  # A method, and the words that tell its variant from others
 

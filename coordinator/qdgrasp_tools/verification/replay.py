@@ -45,7 +45,7 @@ from qdgrasp_tools.rendering.ray_renderer import (
     fit_camera,
 )
 from qdgrasp_tools.rendering.views import CLAY, FINGER_HUES, STEEL, PaintedMesh, paint_body, rgb
-from qdgrasp_tools.report.row_report import row_at
+from qdgrasp_tools.report.run_report import row_at
 from qdgrasp_tools.verification import comparison
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from tests.coordinator.recorded_campaigns import record_campaign
 from tests.coordinator.scenes import SceneMaker
-from tests.tools.report.test_row_report import OUTCOMES, run_of
+from tests.tools.report.test_run_report import OUTCOMES, run_of
 from typer.testing import CliRunner, Result
 
 from qdgrasp_protocol.errors import InputError

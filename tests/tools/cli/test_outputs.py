@@ -7,7 +7,7 @@ import trimesh
 from tests.assets import example_hands
 from tests.coordinator.scenes import SceneMaker
 from tests.tools.export.foreign_files import ISAAC
-from tests.tools.report.test_row_report import OUTCOMES, run_of
+from tests.tools.report.test_run_report import OUTCOMES, run_of
 from typer.testing import CliRunner, Result
 
 from qdgrasp_protocol.errors import OutputError

@@ -16,8 +16,8 @@ from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import FolderError, OutputError
 from qdgrasp_protocol.rows import TRIALS, Outcome
 from qdgrasp_tools.report.report import FIGURES, CampaignReport, write_report
-from qdgrasp_tools.report.row_report import run_summary
 from qdgrasp_tools.report.run_groups import mean_interval
+from qdgrasp_tools.report.run_report import run_summary
 
 METHODS = ("contact_me_scs", "contact_rand", "me_scs")
 

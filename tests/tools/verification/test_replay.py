@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.coordinator.recorded_runs import record
 from tests.coordinator.scenes import made_scene
-from tests.tools.report.test_row_report import PRIOR, run_of
+from tests.tools.report.test_run_report import PRIOR, run_of
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_coordinator.storage.run_folder import RunFolder

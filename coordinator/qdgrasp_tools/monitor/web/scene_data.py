@@ -25,7 +25,7 @@ from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, settled_mask, settled_poses
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.rows import Outcome, trial_count
-from qdgrasp_tools.report.row_report import row_contacts
+from qdgrasp_tools.report.run_report import row_contacts
 
 
 class TriangleMesh(Struct, frozen=True):

@@ -14,7 +14,7 @@ from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
 from qdgrasp_coordinator.metrics.cells import GenomeReader
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
-from qdgrasp_tools.report.row_report import NoSuchRow, report_table, row_context, row_report
+from qdgrasp_tools.report.run_report import NoSuchRow, report_table, row_context, row_report
 
 PRIORS = {"me_scs": "spherical", "contact_rand": "contact"}
 
