@@ -15,7 +15,6 @@ from typing import Generic, TypeVar
 
 import msgspec
 import numpy as np
-from msgspec.structs import replace
 
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
 from qdgrasp_assets.scene import Scene
@@ -24,7 +23,7 @@ from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListings
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.errors import BusError, InputError, NoReply, QdgraspError
 from qdgrasp_tools.monitor.records import BusRecords, JournalId, RecordPage, Records
-from qdgrasp_tools.monitor.web.scene_data import BrowserScene, VoxelPages, browser_scene, grasp_view
+from qdgrasp_tools.monitor.web.scene_data import VoxelPages, browser_scene, grasp_view
 from qdgrasp_tools.rendering.views import hand_picture
 
 WAIT_SECONDS = 1.0  # A thread waits so long for the first answer to another one's query [s]
@@ -114,7 +113,8 @@ class LoadedScene:
 
     scene: Scene
     hand: HandGeometry
-    shown: BrowserScene
+    shown: dict[str, object]
+    """All that the page shows of it before the first success (`browser_scene`)."""
 
 
 class RunCache:
@@ -127,10 +127,10 @@ class RunCache:
         self._pictures = lru_cache(MAX_GRASP_PICTURES)(self._draw)
 
     def scene(self) -> bytes:
-        """Return JSON of the `BrowserScene` of the journal that the cells are from."""
+        """Return JSON of the scene of the journal that the cells are from, with their `origin`."""
         reading = self._reading.get()
-        scene = self._scenes(reading.origin.scene).shown
-        return msgspec.json.encode(replace(scene, origin=reading.voxels.origin))
+        shown = self._scenes(reading.origin.scene).shown
+        return msgspec.json.encode(shown | {"origin": reading.voxels.origin})
 
     def cells(self, first: int) -> bytes:
         """Return a page of voxels from the serial `first` on, with the successes read until now."""
@@ -141,12 +141,11 @@ class RunCache:
         found, origin = self._success(number)
         loaded = self._scenes(origin.scene)
         (margin,) = recorded_margins(found, loaded.scene.object)
-        return msgspec.json.encode(grasp_view(found[0], loaded.hand, loaded.shown, margin))
+        return msgspec.json.encode(grasp_view(found[0], loaded.scene, loaded.hand, margin))
 
     def picture(self, number: int) -> bytes:
         """Return a picture of a journal row, the hand as it settled: PNG with a transparent ground."""
-        origin = self._reading.get().origin
-        return self._pictures(str(number), origin.scene, str(origin.began))
+        return self._pictures(number, self._reading.get().origin)
 
     def _success(self, number: int) -> tuple[SuccessTable, JournalId]:
         """Read the success in a journal row: (1,), and the journal."""
@@ -155,12 +154,9 @@ class RunCache:
             raise InputError(f"Row {number} of the journal of '{self._run}' is no success; see the voxels.")
         return page.found[:1], page.origin
 
-    def _draw(self, number: str, *_journal: str) -> bytes:
-        """Draw the hand of a journal row from where the page looks at first.
-
-        `_journal` tells rows of one number in different journals apart.
-        """
-        found, origin = self._success(int(number))
+    def _draw(self, number: int, _journal: JournalId) -> bytes:
+        """Draw the hand of a row of a journal from where the page looks at first."""
+        found, origin = self._success(number)
         scene = self._scenes(origin.scene).scene
         return hand_picture(scene, found, GRASP_PIXELS, FIRST_VIEW)
 

@@ -8,15 +8,14 @@ A page of voxels is little-endian: the header `HEADER`, then of `n` voxels the c
 
 import struct
 from base64 import b64encode
-from collections.abc import Sequence
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 from trimesh import Trimesh
 from trimesh.graph import smooth_shade
 
+from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry
 from qdgrasp_assets.scene import Scene
@@ -27,84 +26,37 @@ from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.rows import Outcome, trial_count
 from qdgrasp_tools.report.run_report import row_contacts
 
-
-class TriangleMesh(Struct, frozen=True):
-    """A mesh for the browser."""
-
-    positions: str  # (v, 3) little-endian float32 as base64
-    indices: str  # (f, 3) little-endian uint32 as base64, counter-clockwise from outside
-
-
-class LinkMesh(Struct, frozen=True):
-    """One link of a hand, with all of its collision shapes."""
-
-    name: str
-    finger: bool  # True if its contact makes a success
-    mesh: TriangleMesh
-
-
-class SuccessKind(Struct, frozen=True):
-    """A kind of success."""
-
-    outcome: int  # The `Outcome` by its number
-    words: str
-    colour: str
-
-
-class BrowserScene(Struct, frozen=True):
-    """Everything in the view before the first success."""
-
-    gripper: str
-    object: str
-    base: str  # The hand's root link, which poses are of
-    com_in_mesh: Sequence[float]  # (3,): centre of mass in the mesh file's frame [m]; the same axes
-    synergies: Sequence[str]  # Those of the hand; none where all driven joints close
-    scored: bool  # True if successes have trials, and thus an eta
-    cell: float  # The edge of a cell [m]; cell k reaches from (k - 0.5) to (k + 0.5) times it
-    low: Sequence[float]  # (3,): the corners of the object's bounding box
-    high: Sequence[float]
-    reach: float  # Greatest distance of the hand's base from that box [m]
-    kinds: Sequence[SuccessKind]  # From worst to best
-    mesh: TriangleMesh  # Of the object
-    links: Sequence[LinkMesh]  # Of the hand
-    origin: int = 0  # The same number as that of its voxels
-
-
 SHARP = np.radians(45)  # faces that meet at a sharper angle are drawn with an edge
 CLOSING_STEPS = 11  # Poses of the hand from the open one to the closed one
 SUCCESS_KINDS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
 
 
-def browser_scene(scene: Scene, hand: HandGeometry) -> BrowserScene:
-    """Return the view of a scene; `hand` is the scene's."""
-    body = scene.object
-    vertices = body.vertices
-    return BrowserScene(
-        gripper=scene.gripper.name,
-        object=body.name,
-        base=scene.gripper.base_link,
-        com_in_mesh=body.com_in_mesh,
-        synergies=[synergy.name for synergy in scene.gripper.synergies],
-        scored=trial_count(scene.protocol) > 0,
-        cell=1 / PER_METRE,
-        low=scene.object_low,
-        high=scene.object_high,
-        reach=scene.gripper.reach,
-        kinds=[
-            SuccessKind(int(kind), _words(kind), success_metrics.FITNESS_COLOURS[kind - Outcome.DROPPED])
+def browser_scene(scene: Scene, hand: HandGeometry) -> dict[str, object]:
+    """Return everything in the view of a scene before the first success; `hand` is the scene's."""
+    colours = success_metrics.FITNESS_COLOURS
+    return {
+        "gripper": scene.gripper.name,
+        "object": scene.object.name,
+        "com_in_mesh": scene.object.com_in_mesh,  # centre of mass in the mesh file's frame [m]; the same axes
+        "synergies": [synergy.name for synergy in scene.gripper.synergies],
+        "scored": trial_count(scene.protocol) > 0,  # successes have trials, and thus an eta
+        "cell": 1 / PER_METRE,  # the edge of a cell [m]; cell k reaches from (k - 0.5) to (k + 0.5) times it
+        "low": scene.object_low,  # the corners of the object's bounding box
+        "high": scene.object_high,
+        "reach": scene.gripper.reach,  # greatest distance of the hand's base from that box [m]
+        "kinds": [  # of successes, from worst to best
+            {"outcome": int(kind), "words": _words(kind), "colour": colours[kind - Outcome.DROPPED]}
             for kind in SUCCESS_KINDS
         ],
-        mesh=_triangles(vertices, np.frombuffer(body.mesh_faces, "<u4")),
-        links=[
-            LinkMesh(name, name in hand.gripper.finger_links, _triangles(mesh.vertices, mesh.faces))
+        "mesh": _triangles(scene.object.mesh),
+        "links": [  # of the hand; `finger`: its contact makes a success
+            {"name": name, "finger": name in hand.gripper.finger_links, "mesh": _triangles(mesh)}
             for name, mesh in hand.link_meshes.items()
         ],
-    )
+    }
 
 
-def grasp_view(
-    find: np.void, hand: HandGeometry, scene: BrowserScene, margin: float = np.nan
-) -> dict[str, object]:
+def grasp_view(find: np.void, scene: Scene, hand: HandGeometry, margin: float = np.nan) -> dict[str, object]:
     """Return everything known of a success, a record of `storage.success_pages`.
 
     Lengths are in m, angles in rad and forces in N, in the object's centre-of-mass frame.
@@ -116,12 +68,13 @@ def grasp_view(
     commanded, settled = (  # poses of the hand's root link, quaternions xyzw
         {
             "position": pose[:3].tolist(),
-            "position_in_mesh": (pose[:3] + scene.com_in_mesh).tolist(),
+            "position_in_mesh": (pose[:3] + scene.object.com_in_mesh).tolist(),
             "quaternion": pose[3:].tolist(),
         }
         for pose in ends
     )
     moved, turned = (_known(value) for value in object_motion(alone)[0])
+    synergies = [synergy.name for synergy in scene.gripper.synergies]
     return {
         "number": int(find["number"]),  # in the journal
         "outcome": int(find["outcome"]),
@@ -129,14 +82,14 @@ def grasp_view(
         "words": _words(Outcome(find["outcome"])),
         "eta": float(find["eta"]) if find["eta"] >= 0 else None,  # None where too few trials are recorded
         "trials": int(find["trials"]),
-        "synergy": scene.synergies[find["synergy"]] if 0 <= find["synergy"] < len(scene.synergies) else "",
+        "synergy": synergies[find["synergy"]] if 0 <= find["synergy"] < len(synergies) else "",
         "cell": cells(find["descriptor"]).tolist(),
-        "base": scene.base,
+        "base": scene.gripper.base_link,
         "commanded": commanded,  # before closing: with the joints `pregrasp`
         "settled": settled if is_settled else None,  # after closing, with `joints`; None: not recorded
         "pregrasp": dict(zip(names, postures[0].tolist(), strict=True)),
         "joints": dict(zip(names, postures[1].tolist(), strict=True)),
-        "frames": _closing_frames(hand, ends, postures, {scene.base, *hand.link_meshes}),
+        "frames": _closing_frames(hand, ends, postures, {scene.gripper.base_link, *hand.link_meshes}),
         "finger_links": int(find["contacts"]),  # number of those that touch the object after closing
         "penetration": float(find["penetration"]),
         "moved": moved,  # how the object moved in the hand while it closed; None as `settled`
@@ -179,12 +132,14 @@ def _words(kind: Outcome) -> str:
     return success_metrics.FITNESS_WORDS[kind - Outcome.DROPPED]
 
 
-def _triangles(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> TriangleMesh:
-    """Return a mesh whose faces share a vertex only where they meet at no sharp angle."""
-    mesh = Trimesh(vertices, faces.reshape(-1, 3))
-    smooth = smooth_shade(mesh, SHARP, facet_minarea=None)
-    positions, indices = smooth.vertices.astype("<f4").tobytes(), smooth.faces.astype("<u4").tobytes()
-    return TriangleMesh(b64encode(positions).decode(), b64encode(indices).decode())
+def _triangles(mesh: Mesh) -> dict[str, str]:
+    """Return a mesh whose faces share a vertex only where they meet at no sharp angle.
+
+    In base64: positions (v, 3) as float32, and indices (f, 3) as uint32, counter-clockwise from outside.
+    """
+    smooth = smooth_shade(Trimesh(mesh.vertices, mesh.faces), SHARP, facet_minarea=None)
+    columns = {"positions": smooth.vertices.astype("<f4"), "indices": smooth.faces.astype("<u4")}
+    return {name: b64encode(column.tobytes()).decode() for name, column in columns.items()}
 
 
 HEADER = struct.Struct("<4s5I")

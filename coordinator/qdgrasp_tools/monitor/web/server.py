@@ -9,7 +9,6 @@ import hmac
 import re
 import secrets
 import socket
-import threading
 import time
 from asyncio import CancelledError
 from collections import Counter
@@ -44,7 +43,7 @@ from qdgrasp_tools.monitor.feed import Feed
 from qdgrasp_tools.monitor.job_model import MOST_WORKERS, JobView
 from qdgrasp_tools.monitor.prometheus import exposition
 from qdgrasp_tools.monitor.records import FolderIndex, FolderRecords
-from qdgrasp_tools.monitor.web.run_cache import JobCaches, RunCache, run_caches
+from qdgrasp_tools.monitor.web.run_cache import JobCaches, RunCache, TtlCache, run_caches
 
 PAGES = Path(__file__).with_name("pages")
 PART = re.compile(r"^( *)<!-- (parts/\w+\.html) -->\n", re.MULTILINE)
@@ -52,8 +51,8 @@ MAX_THREADS = 16  # Threads for answers that may take long; requests that wait f
 MAX_ROW = (1 << 32) - 1  # The greatest number of a row in a journal
 PAGE_ROWS = 50  # Objects on a page
 MAX_PICTURE_THREADS = 2  # So that pictures leave room for other answers
-PICTURE_CACHING = "private, max-age=300"
-JSON = "application/json"
+JSON, PNG = "application/json", "image/png"
+CACHING = {PNG: "private, max-age=300"}
 STATE_SECONDS = 0.5  # Between two states that a browser gets [s]
 STUCK_SECONDS = 15.0  # A browser that takes nothing for so long is dropped [s]
 
@@ -84,19 +83,12 @@ class PageState:
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
-        self._lock = threading.Lock()
-        self._text = b""
-        self._encoded_at = float("-inf")
+        self.state = TtlCache(self._encode, lambda _: STATE_SECONDS / 2).get
+        """Returns all jobs as they are now, or were a moment ago, as JSON in one line."""
 
-    def state(self) -> bytes:
-        """Return all jobs as they are now, or were a moment ago, as JSON in one line."""
-        with self._lock:
-            if time.monotonic() > self._encoded_at + STATE_SECONDS / 2:
-                jobs = [job_state(view) for view in self._feed.views()]
-                state = {"at": time.time(), "linked": self._feed.is_linked, "jobs": jobs}
-                self._text = msgspec.json.encode(state)
-                self._encoded_at = time.monotonic()
-            return self._text
+    def _encode(self, _before: bytes | None) -> bytes:
+        jobs = [job_state(view) for view in self._feed.views()]
+        return msgspec.json.encode({"at": time.time(), "linked": self._feed.is_linked, "jobs": jobs})
 
     def history(self, job: str) -> bytes:
         """Return the figures of a job over time as JSON, or raise `UnknownName`."""
@@ -131,9 +123,9 @@ def live_routes(feed: Feed, caches: JobCaches, stop: Stop) -> list[BaseRoute]:
 
     return [
         Route("/", lambda _: HTMLResponse(html("index"))),
-        Route("/api/state", lambda _: _json(state.state())),
+        Route("/api/state", lambda _: _answer(state.state())),
         Route("/api/stream", stream),
-        Route("/api/jobs/{job}/history", lambda request: _json(state.history(request.path_params["job"]))),
+        Route("/api/jobs/{job}/history", lambda request: _answer(state.history(request.path_params["job"]))),
         _slow("/api/jobs/{job}/runs", lambda request: caches.runs(request.path_params["job"]), limiter),
         _slow("/api/jobs/{job}/objects", lambda request: _object_page(request, caches, feed), limiter),
         _slow("/api/jobs/{job}/objects/runs", object_runs, limiter),
@@ -163,20 +155,6 @@ def _object_page(request: Request, caches: JobCaches, feed: Feed) -> bytes:
         "uncounted": found.uncounted,  # Runs whose rows are still being counted
     }
     return msgspec.json.encode(page)
-
-
-def _picture_route(path: str, draw: Callable[[Request], bytes]) -> BaseRoute:
-    """Return a route of small pictures that are drawn in threads, few at once."""
-    limiter = CapacityLimiter(MAX_PICTURE_THREADS)
-
-    async def picture(request: Request) -> Response:
-        try:
-            payload = await to_thread.run_sync(draw, request, limiter=limiter)
-        except CancelledError:  # the server ends while pictures wait for their turn
-            return PlainTextResponse("The server has ended.\n", 503)
-        return Response(payload, media_type="image/png", headers={"Cache-Control": PICTURE_CACHING})
-
-    return Route(path, picture)
 
 
 def folder_routes(index: FolderIndex) -> list[BaseRoute]:
@@ -221,30 +199,32 @@ def _run_routes(caches: Callable[[str, str], RunCache], limiter: CapacityLimiter
             raise InputError(f"'{text[:20]}' is not the number of a row.")
         return found
 
-    path = "/api/jobs/{job}/runs/{run}"
+    path, pictures = "/api/jobs/{job}/runs/{run}", CapacityLimiter(MAX_PICTURE_THREADS)
     return [
         _slow(f"{path}/scene", lambda request: run(request).scene(), limiter),
         _slow(f"{path}/cells", cells, limiter, "application/octet-stream"),
         _slow(f"{path}/grasps/{{number}}", lambda request: run(request).grasp(row(request)), limiter),
-        _picture_route(f"{path}/grasps/{{number}}/picture", lambda asked: run(asked).picture(row(asked))),
+        _slow(f"{path}/grasps/{{number}}/picture", lambda one: run(one).picture(row(one)), pictures, PNG),
     ]
 
 
 def _slow(
-    path: str, query: Callable[[Request], bytes], limiter: CapacityLimiter, media_type: str = JSON
+    path: str, query: Callable[[Request], bytes], limiter: CapacityLimiter, kind: str = JSON
 ) -> BaseRoute:
     """Return a route whose answer may take long, and is queried in a thread."""
 
     async def respond(request: Request) -> Response:
-        text = await to_thread.run_sync(query, request, limiter=limiter)
-        return _json(text) if media_type == JSON else Response(text, media_type=media_type)
+        try:
+            return _answer(await to_thread.run_sync(query, request, limiter=limiter), kind)
+        except CancelledError:  # the server ends while requests wait for their turn
+            return PlainTextResponse("The server has ended.\n", 503)
 
     return Route(path, respond)
 
 
-def _json(text: bytes) -> Response:
-    """Return JSON that is not cached."""
-    return Response(text, headers={"Cache-Control": "no-store"}, media_type=JSON)
+def _answer(payload: bytes, kind: str = JSON) -> Response:
+    """Return an answer of a media type; pictures alone may be cached."""
+    return Response(payload, headers={"Cache-Control": CACHING.get(kind, "no-store")}, media_type=kind)
 
 
 def _row(text: str) -> int | None:

@@ -12,25 +12,23 @@ from scipy.spatial.transform import Rotation
 from tests.tools.monitor.web.conftest import finds, random_finds
 
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
+from qdgrasp_assets.scene import Synergy
 from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.web import scene_data
 from qdgrasp_tools.monitor.web.scene_data import (
     HEADER,
-    BrowserScene,
     VoxelPages,
     browser_scene,
     grasp_view,
 )
 
 
-def positions(mesh: scene_data.TriangleMesh) -> NDArray[np.float32]:
-    return np.frombuffer(b64decode(mesh.positions), "<f4").reshape(-1, 3)
-
-
-def indices(mesh: scene_data.TriangleMesh) -> NDArray[np.uint32]:
-    return np.frombuffer(b64decode(mesh.indices), "<u4").reshape(-1, 3)
+def corners_of(mesh: dict[str, str]) -> NDArray[np.float32]:
+    """Corners (f, 3, 3) of the triangles of a mesh for the browser."""
+    positions = np.frombuffer(b64decode(mesh["positions"]), "<f4").reshape(-1, 3)
+    return positions[np.frombuffer(b64decode(mesh["indices"]), "<u4").reshape(-1, 3)]
 
 
 @pytest.fixture
@@ -38,26 +36,23 @@ def drawn(make_scene) -> HandGeometry:
     return hand_geometry(make_scene().gripper)
 
 
-@pytest.fixture
-def stands(make_scene, drawn: HandGeometry) -> BrowserScene:
-    return browser_scene(make_scene(), drawn)
-
-
-def test_the_object_stands_in_its_centre_of_mass_frame(make_scene, stands: BrowserScene) -> None:
-    corners = positions(stands.mesh)[indices(stands.mesh)]
+def test_the_object_stands_in_its_centre_of_mass_frame(make_scene, drawn: HandGeometry) -> None:
+    stands: Any = browser_scene(make_scene(), drawn)
+    corners = corners_of(stands["mesh"])
     assert np.allclose(
         sorted(corners.reshape(-1, 9).tolist()), sorted(make_scene().object.triangles.reshape(-1, 9).tolist())
     )
-    assert np.allclose(corners.min(axis=(0, 1)), stands.low, atol=1e-6)
-    assert np.allclose(corners.max(axis=(0, 1)), stands.high, atol=1e-6)
+    assert np.allclose(corners.min(axis=(0, 1)), stands["low"], atol=1e-6)
+    assert np.allclose(corners.max(axis=(0, 1)), stands["high"], atol=1e-6)
 
 
 def test_a_grasp_says_all_that_is_known_of_it(make_scene, drawn: HandGeometry) -> None:
     scene = replace(make_scene(), object=replace(make_scene().object, com_in_mesh=(0.0, 0.1, 0.0)))
-    stands = replace(browser_scene(scene, drawn), synergies=["pinch", "power"])
+    synergies = tuple(Synergy(name=name, joints=("left",)) for name in ("pinch", "power"))
+    scene = replace(scene, gripper=replace(scene.gripper, synergies=synergies))
     find = finds([41], [(3, -2, 7)], [Outcome.SHAKEN], synergies=1, etas=0.5)[0]
     find["joints"] = [0.02, 0.01]
-    told: Any = grasp_view(find, drawn, stands)
+    told: Any = grasp_view(find, scene, drawn)
     assert (told["number"], told["outcome"], told["fitness"], told["cell"]) == (
         41,
         Outcome.SHAKEN,
@@ -86,7 +81,7 @@ def test_a_grasp_says_how_closing_went(make_scene) -> None:
     links = ("palm", "left_finger", "right_finger")
     scene = replace(make_scene(), gripper=replace(make_scene().gripper, links=links))
     hand = hand_geometry(scene.gripper)
-    told: Any = grasp_view(settled_find(), hand, browser_scene(scene, hand), 0.25)
+    told: Any = grasp_view(settled_find(), scene, hand, 0.25)
     assert told["settled"] is not None
     assert np.allclose(told["settled"]["position"], [0, 0, 0.04])
     assert (told["moved"], told["turned"]) == pytest.approx((0.03, np.pi / 3))
@@ -97,12 +92,13 @@ def test_a_grasp_says_how_closing_went(make_scene) -> None:
     assert contact["point"] == pytest.approx([0.01, 0, 0.02], abs=1e-5)
 
 
-def test_midway_the_hand_has_gone_and_turned_half_the_way_with_its_joints_half_closed(drawn, stands) -> None:
+def test_midway_the_hand_has_gone_and_turned_half_the_way_with_its_joints_half_closed(
+    make_scene, drawn
+) -> None:
     find = settled_find()
     find["contact_links"] = 0
-    middle = {
-        name: poses[len(poses) // 2] for name, poses in grasp_view(find, drawn, stands)["frames"].items()
-    }
+    frames: Any = grasp_view(find, make_scene(), drawn)["frames"]
+    middle = {name: poses[len(poses) // 2] for name, poses in frames.items()}
     pose = np.array([0, 0, 0.055, 0, 0, np.sin(np.pi / 12), np.cos(np.pi / 12)])
     for name, frame in drawn.link_frames(pose, np.array([0.03, 0.025])).items():
         if name in middle:
