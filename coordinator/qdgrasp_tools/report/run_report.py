@@ -39,7 +39,7 @@ from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares, other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
-from qdgrasp_coordinator.storage.success_pages import RowContext
+from qdgrasp_coordinator.storage.success_pages import RowContext, success_page
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import CONTACT_VALUES, Outcome
 from qdgrasp_protocol.spec import DEFAULT_ENGINE
@@ -48,18 +48,14 @@ from qdgrasp_protocol.text import counted
 MOST_CONTEXTS = 256  # So many are kept, a few hundred bytes each
 
 
-@lru_cache(MOST_CONTEXTS)
-def _context(path: Path, _created: float, _scene: str) -> RowContext:
-    return RowContext(TrialPlan.of(RunFolder(path).spec), genome_reader(RunFolder(path)))
-
-
 def row_context(folder: RunFolder, journal: Journal) -> RowContext:
-    """Return the context of a journal's rows; FolderError if its scene cannot be read.
+    """Return the context of a journal's rows, kept; FolderError if its scene cannot be read."""
+    return _context(folder.path, journal.created, journal.scene, folder.has_bundle())
 
-    Once the scene is there it is kept for this journal, by its time of creation and scene.
-    """
-    made = _context if folder.has_bundle() else _context.__wrapped__
-    return made(folder.path, journal.created, journal.scene)
+
+@lru_cache(MOST_CONTEXTS)
+def _context(path: Path, _created: float, _scene: str, _has_bundle: bool) -> RowContext:
+    return RowContext(TrialPlan.of(RunFolder(path).spec), genome_reader(RunFolder(path)))
 
 
 POSE_FRAME = "object's centre-of-mass frame"
@@ -125,17 +121,14 @@ def row_report(folder: RunFolder, number: int) -> dict[str, Any]:
     with folder.journal() as journal:
         row = row_at(folder, journal, number)
         found_by = provenance(folder, journal)
-        spec, behind = found_by.spec, range(number + 1, journal.count)
-        plan = TrialPlan.of(spec)
-        repeats = _trial_fitness(journal, row, behind, plan.trials)
+        spec, context = found_by.spec, row_context(folder, journal)
+        found, _ = success_page(journal, number, context)
         counts = {"number": number, "rows": journal.count}
         digest, reason = journal.scene, journal.errors().get(number, "")
         makers = journal.makers(number, number + 1)
-    scene, prior = folder.scene(), prior_of(spec)
-    eta, error = None, None
-    if 0 < plan.trials <= len(repeats):
-        eta = float(plan.eta(np.array([sum(repeats[: plan.usual])]))[0])
-        error = float(eta_error(np.array([eta]), np.array([plan.usual]))[0])
+    scene, prior, success = folder.scene(), prior_of(spec), found[found["number"] == number]
+    etas = success["eta"][success["eta"] >= 0].astype(float)
+    errors = eta_error(etas, np.full(len(etas), context.plan.usual))
     return {
         "folder": str(folder.path),
         "run": found_by.run,
@@ -143,9 +136,11 @@ def row_report(folder: RunFolder, number: int) -> dict[str, Any]:
         **_row_fields(row, scene, prior),
         "reason": reason,  # of an error
         "made_by": " on ".join(makers[0][2:]) if makers else None,  # a worker's id and host
-        "trials": len(repeats),  # that are recorded
-        "eta": eta,  # the estimated probability of transfer, once all trials are there
-        "eta_error": error,  # its standard error, for the number of trials alone
+        "trials": int(success["trials"].sum()),  # that are recorded
+        "eta": next(
+            iter(etas.tolist()), None
+        ),  # estimated probability of transfer, once all trials are there
+        "eta_error": next(iter(errors.tolist()), None),  # standard error, for the number of trials alone
         "elsewhere": _other_verdicts(folder, number, row),
         **{name: getattr(spec, name) for name in ("gripper", "object", "protocol", "method", "seed")},
         "prior": prior,
@@ -196,19 +191,6 @@ def _row_fields(row: np.void, scene: Scene, prior: str) -> dict[str, Any]:
         "contact_points": list(row_contacts(row, scene.gripper)),
         "genome": list(_gene_values(row, scene, prior)),
     }
-
-
-def _trial_fitness(journal: Journal, row: np.void, behind: range, most: int) -> list[float]:
-    """Return the fitness in each trial of a nominal success; trials stand behind it."""
-    found: list[float] = []
-    if not most or row["trial"] or not Outcome(row["outcome"]).is_success:
-        return found
-    for rows in journal.blocks(behind.start, behind.stop) if behind else ():
-        is_same = (rows["generation"] == row["generation"]) & (rows["index"] == row["index"])
-        found += rows["fitness"][is_same & (rows["trial"] > 0)].tolist()
-        if len(found) >= most or rows["generation"][-1] != row["generation"]:
-            break
-    return found
 
 
 def row_contacts(row: np.void, gripper: SceneGripper) -> Iterator[dict[str, Any]]:
