@@ -22,7 +22,6 @@ from qdgrasp_assets.object_model import ObjectModel, file_facts, geometry_of, re
 from qdgrasp_assets.object_shape import is_in_catalog
 from qdgrasp_assets.ycb import YCB_HOME, YCB_TERMS, WrongScan, fetch_scan
 from qdgrasp_coordinator.storage.outputs import OutFile
-from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.spec import RunSpec, run_spec
@@ -208,8 +207,9 @@ def check_object(
         echo(f"written: {writing.path}, in metres, with {triangles}", err=as_json)
     refuse_faulty("object", found)
     if repaired is not None:
-        file, metres, prepared = str(repaired), None, MeshPreparation(glued=glued)
-    changes = options.mesh_words(prepared)
+        file, metres, mesh = str(repaired), None, "glued" if glued else None
     size = "" if metres is None else f" {scale_in_words(metres)}"
-    weight = f" --mass {'KG' if mass is None else f'{mass:g}'}{f' --mesh {changes}' if changes else ''}"
+    weight = (
+        f" --mass {'KG' if mass is None else f'{mass:g}'}{f' --mesh {shlex.quote(mesh)}' if mesh else ''}"
+    )
     echo(f"next: qdgrasp run --gripper panda --object {shlex.quote(file)}{size}{weight}", err=as_json)

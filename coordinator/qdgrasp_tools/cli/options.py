@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import msgspec
 import typer
+from msgspec.inspect import FloatType, IntType, LiteralType, VarTupleType, type_info
 
 from qdgrasp_assets.geometry.mesh_io import scale_of
 from qdgrasp_coordinator.metrics.grasp_quality import GraspLimits
@@ -21,8 +22,8 @@ from qdgrasp_protocol.spec import DEVICE_ENGINE, RunSpec, engine_names, key_text
 SPEC, END, CHOICE = "Hand, object, search and evaluation", "End", "Choice of grasps"
 """Headings of options in the help of commands."""
 KEY_TEXTS = key_texts()
-KEY_TYPES = {field.name: msgspec.inspect.type_info(field.type) for field in msgspec.structs.fields(RunSpec)}
-PLAIN_TYPES = {"LiteralType": str, "IntType": int, "FloatType": float, "VarTupleType": list[str]}
+KEY_TYPES = {field.name: type_info(field.type) for field in msgspec.structs.fields(RunSpec)}
+PLAIN_TYPES = {LiteralType: str, IntType: int, FloatType: float, VarTupleType: list[str]}
 FLAG_NAMES = {"scale": "units"}
 """Flags that are not called as the keys of a spec that they give."""
 UNITS_HELP = "Unit of the mesh file: mm, cm, m or in, or how many metres it is; default m."
@@ -95,9 +96,8 @@ def spec_flags(
 
 def _flag(key: str) -> Any:
     info = KEY_TYPES[key]
-    kinds = info.types if isinstance(info, msgspec.inspect.UnionType) else (info,)
-    names = {type(each).__name__ for each in kinds}
-    plain = next((plain for name, plain in PLAIN_TYPES.items() if name in names), str)
+    kinds = {type(each) for each in getattr(info, "types", (info,))}  # those of a union
+    plain = next((plain for kind, plain in PLAIN_TYPES.items() if kind in kinds), str)
     flag = f"--{key.replace('_', '-')}"
     return Annotated[plain | None, typer.Option(flag, help=KEY_TEXTS[key], rich_help_panel=SPEC)]
 
@@ -146,12 +146,6 @@ def preparation(text: str | None) -> MeshPreparation | None:
     said = {name: _parsed(value) if value else True for name, _, value in words}
     changes = said | {name: value for name, _, value in words if name == "geometry"}
     return run_spec({"gripper": "", "object": "", "mesh": changes}, "--mesh").mesh
-
-
-def mesh_words(mesh: MeshPreparation | None) -> str:
-    """Return changes of a mesh as --mesh lists them, the inverse of `preparation`."""
-    said = msgspec.to_builtins(mesh) if mesh else {}
-    return ",".join(name if value is True else f"{name}={value}" for name, value in said.items())
 
 
 SkipUnusable = Annotated[

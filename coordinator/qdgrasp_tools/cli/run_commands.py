@@ -371,18 +371,16 @@ def _grasps_of(source: RunFolder, limits: GraspLimits) -> Rows:
     return found
 
 
-OF_A_PROTOCOL = ("carrier", "urdf", "links", "disabled_collisions")
-"""Values of a hand that differ between protocols, or that scenes of version 0.1.0 lack."""
-
-
 def _check_same(old: Scene, new: Scene) -> None:
     """Check that two scenes have the same hand and object, so that poses keep their meaning."""
-    others = dict.fromkeys(OF_A_PROTOCOL)
-    hands = [msgspec.structs.asdict(scene.gripper) | others for scene in (old, new)]
-    for hand, scene in zip(hands, (old, new), strict=True):
-        hand["joints"] = [(each.name, each.opened, each.closed, each.driven) for each in scene.gripper.joints]
-    surfaces = [(one.com_in_mesh, one.mesh_vertices, one.mesh_faces) for one in (old.object, new.object)]
-    if surfaces[0] != surfaces[1] or hands[0] != hands[1]:
+
+    def meaning(scene: Scene) -> tuple[object, ...]:
+        hand, body = scene.gripper, scene.object
+        joints = [(each.name, each.opened, each.closed, each.driven) for each in hand.joints]
+        ways = hand.base_link, hand.finger_links, hand.synergies, hand.free_joints, joints
+        return ways, body.com_in_mesh, body.mesh_vertices, body.mesh_faces
+
+    if meaning(old) != meaning(new):
         raise InputError(
             f"'{new.gripper.name}' or '{new.object.name}' is not what it was when the run was made, so that "
             "its poses mean something else; restore their files."

@@ -49,7 +49,7 @@ FINGER_HUES = (
     "#4477aa", "#ee7733", "#009988", "#cc3311", "#33bbee", "#aa3377", "#c0a020", "#332288", "#6a8f2f",
 )  # fmt: skip
 """Colours of hands in turn: neighbours are told apart with any colour vision."""
-CUBE_EDGE = 0.0072  # Edge of the cube that stands for a cell [m]; less than a cell, so that they stay apart
+CUBE = trimesh.creation.box((0.0072,) * 3)  # Stands for a cell; smaller than that, so that cubes stay apart
 CUT_OPEN_CELLS = 600
 """With more cells, those toward the viewer's right are left out to show the inside."""
 
@@ -138,7 +138,7 @@ def view_of_cells(
     hues = np.array([rgb(colour) for colour in success_metrics.FITNESS_COLOURS])[survival(best)]
     right, _, toward = image.camera.project(places / PER_METRE).T
     kept = (right < 0) | (toward < 0) | (max(map(len, views)) <= CUT_OPEN_CELLS)
-    cubes = np.repeat(hues[kept], len(CUBE_FACES), axis=0)
+    cubes = np.repeat(hues[kept], len(CUBE.faces), axis=0)
     clay = np.tile(rgb(CLAY), (len(body.faces), 1))
     solid = join([body, _cubes(places[kept])])
     paint_solid(image, RayMesh(solid), np.concatenate([clay, cubes]))
@@ -169,18 +169,8 @@ def paint_body(image: LayeredImage, body: RayMesh, colour: Floats, *, is_flat: b
 
 def _cubes(places: NDArray[np.integer]) -> Mesh:
     """Return a cube around the middle of each cell (n, 3)."""
-    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T * CUBE_EDGE / 2
-    vertices = (places[:, None] / PER_METRE + corners).reshape(-1, 3)
-    return Mesh(vertices, (8 * np.arange(len(places))[:, None, None] + CUBE_FACES).reshape(-1, 3))
-
-
-CUBE_FACES = np.array(
-    [
-        (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
-        (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3),
-    ]
-)  # fmt: skip
-"""Triangles of a cube whose corners are counted with z fastest."""
+    vertices = (places[:, None] / PER_METRE + CUBE.vertices).reshape(-1, 3)
+    return Mesh(vertices, (8 * np.arange(len(places))[:, None, None] + CUBE.faces).reshape(-1, 3))
 
 
 def rgb(colour: str) -> Floats:
