@@ -162,11 +162,3 @@ def test_eta_is_told_once_all_trials_are_there(tmp_path: Path, missing: int) -> 
 def test_a_number_that_no_row_has_is_refused(tmp_path, outcomes, words) -> None:
     with pytest.raises(NoSuchRow, match=words):
         row_report(run_of(tmp_path / "mug", made_scene(), outcomes).folder, 7)
-
-
-def test_a_person_reads_every_field(made: Made) -> None:
-    for number in range(len(OUTCOMES)):
-        table = report_table(row_report(made.folder, number))
-        for name in ("outcome", "descriptor", "base to object", "nu", "genome", "scene", "generation", "eta"):
-            assert f"\n{name:<16} " in table
-    assert "link palm  frame object's centre-of-mass frame" in report_table(row_report(made.folder, 1))
