@@ -22,7 +22,7 @@ from qdgrasp_assets.grippers.hand_model import are_deep
 from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts
 from qdgrasp_assets.object_shape import FARTHEST, ObjectShape, file_shape, is_in_catalog, shape_of
 from qdgrasp_assets.regions import with_regions
-from qdgrasp_assets.scene import Scene, SceneGripper, SceneObject, Vector
+from qdgrasp_assets.scene import ObjectBody, Scene, SceneGripper, SceneObject, Vector
 from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import MAX_CONTACT_SLOTS
@@ -62,7 +62,6 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress, known: ObjectShape 
         gripper_path(spec.gripper)  # an unknown hand is reported first
         check_object(spec.object)  # before the hand is read, which takes longer
     hand, (facts, shape) = carried_hand(spec), _facts_and_shape(spec, tell, known)
-    geometry = structs.asdict(shape)
     scene = Scene(
         protocol=spec.protocol,
         base=spec.base,
@@ -76,9 +75,9 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress, known: ObjectShape 
             lateral_friction=facts.lateral_friction,
             rolling_friction=ROLLING_FRICTION,
             spinning_friction=SPINNING_FRICTION,
-            **{key: each for key, each in geometry.items() if key in SceneObject.__struct_fields__},
+            **{key: getattr(shape, key) for key in ObjectBody.__struct_fields__},
         ),
-        **{key: each for key, each in geometry.items() if key in Scene.__struct_fields__},
+        **structs.asdict(shape.surface),
         contact_slots=min(MAX_CONTACT_SLOTS, CONTACTS_PER_FINGER_LINK * len(hand.finger_links)),
         approach_distance=spec.approach,
         resting_poses=tuple(chosen_resting_poses(shape.collision, spec.table_pose, spec.object).values()),

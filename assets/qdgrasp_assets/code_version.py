@@ -12,7 +12,7 @@ from pathlib import Path
 MODULES = (
     *("geometry.mesh", "geometry.mesh_io", "geometry.mesh_repair", "geometry.proximity"),
     *("geometry.surface_points", "geometry.collision_parts", "geometry.convex_decomposition"),
-    *("geometry.rotation", "object_model", "object_shape"),
+    *("geometry.rotation", "object_model", "object_shape", "scene"),
 )
 PACKAGES = ("embreex", "fast-simplification", "numpy", "scipy", "trimesh")
 

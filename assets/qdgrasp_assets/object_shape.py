@@ -12,7 +12,7 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from qdgrasp_assets import ycb
@@ -30,7 +30,7 @@ from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
 from qdgrasp_assets.object_model import ObjectDraft, ObjectGeometry, geometry_of, solid_draft, warn_of_mesh
-from qdgrasp_assets.scene import Vector, vector
+from qdgrasp_assets.scene import ObjectBody, SurfacePoints, Words, vector
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.errors import AssetError, MessageError, QdgraspError
@@ -39,32 +39,12 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import printable
 
 Share = Annotated[float, Meta(ge=0, le=1)]
-Words = Annotated[str, Meta(max_length=1000)]
 
 
-class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The geometry of an object, in its CoM frame: origin at the CoM, axes of the mesh."""
+class ObjectShape(ObjectBody, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The geometry of an object."""
 
-    collision_source: Words
-    """Source of the parts: "own parts", "own hull", "asset path" or "cuts"."""
-    com_in_mesh: Vector
-    """The centre of mass in the mesh file's frame [m]: mesh = com frame + this."""
-    collision: bytes
-    """The convex parts as one OBJ file, one `o` group each."""
-    mesh_vertices: bytes
-    """The surface mesh, float32 (v, 3)."""
-    mesh_faces: bytes
-    """uint32 (f, 3), outward winding."""
-    points: bytes
-    """Surface points S_c, float32 (n, 3)."""
-    normals: bytes
-    """Their outward unit normals, float32 (n, 3)."""
-    finder_low: Vector
-    """The box of the contact point finder."""
-    finder_high: Vector
-    object_low: Vector
-    """The object's own axis-aligned bounding box."""
-    object_high: Vector
+    surface: SurfacePoints
     repairs: Annotated[tuple[Words, ...], Meta(max_length=64)] = ()
     """Repairs and changes of the mesh, in words."""
     thin: Share = 0.0
@@ -82,7 +62,7 @@ class ObjectShape(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
                 f"its convex parts fill the room in front of {100 * self.filled:.0f} % of its surface, and "
                 f"leave {100 * self.bare:.0f} % of it out, where grasps may be lost"
             )
-        yield from resolution_notes(np.subtract(self.object_high, self.object_low), self.thin)
+        yield from resolution_notes(np.subtract(self.surface.object_high, self.surface.object_low), self.thin)
 
 
 MAX_SHAPE = 32 << 20
@@ -121,12 +101,12 @@ def unpack_shape(payload: bytes) -> ObjectShape:
 
 def _check(shape: ObjectShape) -> None:
     """Check that arrays are of the sizes that belong together, and finite; else `ValueError`."""
-    vertices, points, normals = map(_coordinates, (shape.mesh_vertices, shape.points, shape.normals))
-    faces = np.frombuffer(shape.mesh_faces, "<u4").reshape(-1, 3)
-    low, high = (
-        np.array([shape.finder_low, shape.object_low]),
-        np.array([shape.finder_high, shape.object_high]),
+    surface, faces = shape.surface, shape.mesh.faces
+    vertices, points, normals = map(
+        _coordinates, (shape.vertices, surface.surface_points, surface.surface_normals)
     )
+    low = np.array([surface.finder_low, surface.object_low])
+    high = np.array([surface.finder_high, surface.object_high])
     parts = parse_parts(shape.collision.decode("ascii"))
     checks = {
         "faces": 4 <= len(faces) <= MOST_TRIANGLES and faces.max() < len(vertices),
@@ -142,9 +122,8 @@ def _check(shape: ObjectShape) -> None:
             raise ValueError(f"its {name} cannot be used")
 
 
-def _coordinates(blob: bytes) -> NDArray[np.float32]:
-    """Return coordinates (n, 3), finite and within reach; else `ValueError`."""
-    cloud = np.frombuffer(blob, "<f4").reshape(-1, 3)
+def _coordinates(cloud: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return coordinates (n, 3) that are finite and within reach; else `ValueError`."""
     if not (np.abs(cloud) <= FARTHEST).all():  # not true of nan
         raise ValueError("its coordinates are not finite or too large")
     return cloud
@@ -158,20 +137,13 @@ def shape_of(
     `fit` of its parts, and its `thin` share, are noted in it.
     """
     mesh, parts = body.centred_mesh, body.centred_parts
-    cloud = SURFACES[protocol](mesh, parts, body.com_in_mesh, seed)
-    low, high = mesh.bounds
     return ObjectShape(
         collision_source=body.collision_source,
         com_in_mesh=vector(body.com_in_mesh),
         collision=parts_to_obj(parts),
         mesh_vertices=mesh.vertices.astype("<f4").tobytes(),
         mesh_faces=mesh.faces.astype("<u4").tobytes(),
-        points=cloud.points.astype("<f4").tobytes(),
-        normals=cloud.normals.astype("<f4").tobytes(),
-        finder_low=vector(cloud.finder_low),
-        finder_high=vector(cloud.finder_high),
-        object_low=vector(low),
-        object_high=vector(high),
+        surface=SURFACES[protocol](mesh, parts, body.com_in_mesh, seed),
         repairs=body.repairs,
         thin=thin,
         filled=fit.filled if fit else 0.0,

@@ -13,9 +13,9 @@ from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, read_mesh_file
 from qdgrasp_assets.geometry.mesh_repair import is_surface, point_in_words
 from qdgrasp_assets.geometry.proximity import SKEW_DIRECTION, inside_count
-from qdgrasp_assets.geometry.surface_points import sample_surface
+from qdgrasp_assets.geometry.surface_points import packed_points, sample_surface
 from qdgrasp_assets.grippers.urdf import numbers_in
-from qdgrasp_assets.scene import BORDER, Scene, vector
+from qdgrasp_assets.scene import BORDER, Scene
 from qdgrasp_assets.stand_ins import MESHES
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.spec import RunSpec
@@ -45,14 +45,9 @@ def with_regions(scene: Scene, spec: RunSpec) -> Scene:
             f"The regions leave nothing of '{spec.object}' that is {1000 * BORDER:g} mm off their borders."
         )
     chosen = inner[: len(scene.surface_points)]
-    return structs.replace(
-        scene,
-        allowed=np.packbits(allowed).tobytes(),
-        points=points[chosen].astype("<f4").tobytes(),
-        normals=mesh.normals[drawn[chosen]].astype("<f4").tobytes(),
-        finder_low=vector(points[chosen].min(axis=0)),
-        finder_high=vector(points[chosen].max(axis=0)),
-    )
+    ends = points[chosen].min(axis=0), points[chosen].max(axis=0)
+    aimed = packed_points(mesh, points[chosen], mesh.normals[drawn[chosen]], *ends)
+    return structs.replace(scene, allowed=np.packbits(allowed).tobytes(), **structs.asdict(aimed))
 
 
 def _samples(mesh: Mesh) -> tuple[Floats, NDArray[np.int64]]:

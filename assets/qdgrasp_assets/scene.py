@@ -6,11 +6,12 @@ over the bus, and their sha256 is its name. Lengths are metres, masses kg, angle
 
 import hashlib
 from dataclasses import dataclass
+from typing import Annotated
 
 import msgpack
 import msgspec
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import Mesh
@@ -18,14 +19,19 @@ from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_protocol.errors import MessageError
 
 Vector = tuple[float, float, float]
+Words = Annotated[str, Meta(max_length=1000)]
 
 FORMAT = 3  # Version of the bundle, raised when a field comes, goes or changes its meaning
 NEWER_FORMAT = 4  # Version for scenes that name an engine, or whose trials disturb `physical`
-REACHED_FORMAT = 5  # Version for scenes with an approach or a table
-SURROUNDED_FORMAT = 6  # Version for scenes with neighbours
-REGION_FORMAT = 7  # Version for scenes of whose object a part alone may be touched
+LATER_FIELDS = {
+    NEWER_FORMAT: ("engine",),
+    5: ("approach_distance", "resting_poses"),
+    6: ("neighbours",),
+    7: ("allowed",),
+}
+"""Versions for scenes with fields that others leave out, by version."""
+FORMATS = (FORMAT, *LATER_FIELDS)
 BORDER = 1e-3  # Distance along the surface that contacts keep from the border of what is allowed [m]
-FORMATS = (FORMAT, NEWER_FORMAT, REACHED_FORMAT, SURROUNDED_FORMAT, REGION_FORMAT)
 
 
 class Joint(Struct, frozen=True, kw_only=True):
@@ -126,24 +132,17 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
         return self.palm_offset + self.standoff[1]
 
 
-class SceneObject(Struct, frozen=True, kw_only=True):
-    """A rigid object in its centre-of-mass frame: origin at the CoM, axes of the mesh."""
+class ObjectBody(Struct, frozen=True, kw_only=True):
+    """Mesh and convex parts of an object in its CoM frame: origin at the CoM, axes of the mesh."""
 
-    name: str
-    source: str
-    licence: str
-    collision_source: str
+    collision_source: Words
     """Source of the parts: "own parts", "own hull", "asset path" or "cuts"."""
-    mass: float
-    lateral_friction: float
-    rolling_friction: float
-    spinning_friction: float
     com_in_mesh: Vector
     """The centre of mass in the mesh file's frame [m]: mesh = com frame + this."""
     collision: bytes
-    """The convex parts as one OBJ file, one `o` group each, CoM frame."""
+    """The convex parts as one OBJ file, one `o` group each."""
     mesh_vertices: bytes
-    """The surface mesh for drawing and geometry, float32 (v, 3), CoM frame."""
+    """The surface mesh for drawing and geometry, float32 (v, 3)."""
     mesh_faces: bytes
     """uint32 (f, 3), outward winding."""
 
@@ -169,6 +168,43 @@ class SceneObject(Struct, frozen=True, kw_only=True):
         return float(np.sqrt((self.vertices.astype(np.float64) ** 2).sum(axis=1).max()))
 
 
+class SceneObject(ObjectBody, frozen=True, kw_only=True):
+    """A rigid object."""
+
+    name: str
+    source: str
+    licence: str
+    mass: float
+    lateral_friction: float
+    rolling_friction: float
+    spinning_friction: float
+
+
+class SurfacePoints(Struct, frozen=True, kw_only=True):
+    """The surface points of an object and the boxes about it, CoM frame."""
+
+    points: bytes
+    """Surface points S_c, float32 (n, 3)."""
+    normals: bytes
+    """Their outward unit normals, float32 (n, 3)."""
+    finder_low: Vector
+    """The box of the contact point finder."""
+    finder_high: Vector
+    object_low: Vector
+    """The object's own axis-aligned bounding box."""
+    object_high: Vector
+
+    @property
+    def surface_points(self) -> NDArray[np.float32]:
+        """(n, 3) [m], CoM frame."""
+        return np.frombuffer(self.points, dtype="<f4").reshape(-1, 3)
+
+    @property
+    def surface_normals(self) -> NDArray[np.float32]:
+        """(n, 3), unit, outward, CoM frame."""
+        return np.frombuffer(self.normals, dtype="<f4").reshape(-1, 3)
+
+
 class RestingPose(Struct, frozen=True, kw_only=True):
     """A way in which an object rests on a table, which is a plane; CoM frame."""
 
@@ -180,7 +216,7 @@ class RestingPose(Struct, frozen=True, kw_only=True):
     """Probability that an object that is dropped, turned in any way, comes to rest so."""
 
 
-class Scene(Struct, frozen=True, kw_only=True):
+class Scene(SurfacePoints, frozen=True, kw_only=True):
     """All that a worker needs to evaluate genomes."""
 
     format: int = FORMAT
@@ -191,16 +227,6 @@ class Scene(Struct, frozen=True, kw_only=True):
     """The physics engine, or two in their order, as "bullet,mujoco"; None: Bullet."""
     gripper: SceneGripper
     object: SceneObject
-    points: bytes
-    """Surface points S_c, float32 (n, 3), CoM frame."""
-    normals: bytes
-    """Their outward unit normals, float32 (n, 3)."""
-    finder_low: Vector
-    """The box of the contact point finder, CoM frame."""
-    finder_high: Vector
-    object_low: Vector
-    """The object's own axis-aligned bounding box, CoM frame."""
-    object_high: Vector
     contact_slots: int = 0
     """Contacts that a row has room for; 0: rows have no columns of the closed hand, as those of 0.1.0."""
     approach_distance: float = 0.0
@@ -211,16 +237,6 @@ class Scene(Struct, frozen=True, kw_only=True):
     """Convex parts of the fixed bodies around the object, as one OBJ file, CoM frame; empty: none."""
     allowed: bytes = b""
     """Bits of points sampled on the mesh that say whether contacts may be there; empty: anywhere."""
-
-    @property
-    def surface_points(self) -> NDArray[np.float32]:
-        """(n, 3) [m], CoM frame."""
-        return np.frombuffer(self.points, dtype="<f4").reshape(-1, 3)
-
-    @property
-    def surface_normals(self) -> NDArray[np.float32]:
-        """(n, 3), unit, outward, CoM frame."""
-        return np.frombuffer(self.normals, dtype="<f4").reshape(-1, 3)
 
 
 @dataclass(frozen=True)
@@ -234,22 +250,13 @@ class Bundle:
 def pack_scene(scene: Scene) -> Bundle:
     """Return the canonical bytes of a scene and their sha256."""
     values = msgspec.to_builtins(scene, builtin_types=(bytes,), order="sorted")
-    if scene.engine is None:
-        del values["engine"]
-    if scene.engine is not None or scene.base == "physical":
-        values["format"] = NEWER_FORMAT
-    if scene.approach_distance or scene.resting_poses:
-        values["format"] = REACHED_FORMAT
-    else:
-        del values["approach_distance"], values["resting_poses"]
-    if scene.neighbours:
-        values["format"] = SURROUNDED_FORMAT
-    else:
-        del values["neighbours"]
-    if scene.allowed:
-        values["format"] = REGION_FORMAT
-    else:
-        del values["allowed"]
+    values["format"] = NEWER_FORMAT if scene.base == "physical" else FORMAT
+    for number, names in LATER_FIELDS.items():
+        if any(values[name] for name in names):
+            values["format"] = max(number, values["format"])
+        else:
+            for name in names:
+                del values[name]
     payload = bytes(msgpack.packb(values, use_bin_type=True))
     return Bundle(payload, hashlib.sha256(payload).hexdigest())
 

@@ -1,28 +1,30 @@
 """Surface points S_c: points on an object with normals (Huber et al. 2024, section III-B)."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
+from qdgrasp_assets.scene import SurfacePoints, vector
 
 POINTS_PER_METRE = 10_000  # "2000 points per 0.2 m of the diagonal of the object's bounding box"
 BULLET_MARGIN = 0.004  # m: what Bullet adds on each side of a compound of convex hulls at load
 CHUNK = 1 << 17  # pairs of point and triangle that are compared at once: about 100 MB
 
 
-@dataclass(frozen=True)
-class SurfacePoints:
-    """Surface points, with the box that the contact point finder is drawn from."""
+def packed_points(mesh: Mesh, points: Floats, normals: Floats, low: Floats, high: Floats) -> SurfacePoints:
+    """Return points (n, 3) [m] on a mesh with their unit normals (n, 3), CoM frame.
 
-    points: Floats
-    """(n, 3) [m], CoM frame."""
-    normals: Floats
-    """(n, 3), unit, outward, CoM frame."""
-    finder_low: Floats
-    """(3,) [m], CoM frame."""
-    finder_high: Floats
+    `low` and `high` (3,) [m] are the corners of the box that the contact point finder is drawn from.
+    """
+    object_low, object_high = mesh.bounds
+    return SurfacePoints(
+        points=points.astype("<f4").tobytes(),
+        normals=normals.astype("<f4").tobytes(),
+        finder_low=vector(low),
+        finder_high=vector(high),
+        object_low=vector(object_low),
+        object_high=vector(object_high),
+    )
 
 
 def paper_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, seed: int) -> SurfacePoints:
@@ -34,7 +36,7 @@ def paper_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, seed
     """
     low, high = mesh.bounds
     points, drawn = sample_surface(mesh, int(POINTS_PER_METRE * np.linalg.norm(high - low)), seed)
-    return SurfacePoints(points, mesh.normals[drawn], low, high)
+    return packed_points(mesh, points, mesh.normals[drawn], low, high)
 
 
 def released_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, seed: int) -> SurfacePoints:
@@ -50,7 +52,7 @@ def released_surface(mesh: Mesh, parts: tuple[Mesh, ...], com_in_mesh: Floats, s
     points, _ = sample_surface(mesh, int(POINTS_PER_METRE * np.sqrt(low @ low + high @ high)), seed)
     triangles = np.concatenate([part.corners for part in parts])
     normals = np.concatenate([part.normals for part in parts])
-    return SurfacePoints(points, normals[nearest_triangle(points, triangles)], low, high)
+    return packed_points(mesh, points, normals[nearest_triangle(points, triangles)], low, high)
 
 
 SURFACES = dict.fromkeys(("paper", "robust", "physical", "lift"), paper_surface) | {
