@@ -22,7 +22,7 @@ from qdgrasp_worker.pose_filters import ObjectSolid
 def assert_covers(cover, solid):
     """All of the surface is in balls of either kind, and each large ball holds its small ones."""
     random = np.random.default_rng(0)
-    triangles = np.concatenate([hull.triangles for hull in solid.hulls])
+    triangles = np.concatenate([hull.surface.corners for hull in solid.hulls])
     some = triangles[random.integers(len(triangles), size=400)]
     points = (random.dirichlet((1.0, 1.0, 1.0), len(some))[:, :, None] * some).sum(axis=1)
     for balls in (cover.large, cover.small):

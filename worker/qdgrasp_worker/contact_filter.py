@@ -105,7 +105,7 @@ def simplified_hull(hull: Hull) -> Hull:
     """A hull around a hull that has no more than 92 planes."""
     if len(hull.planes) <= len(DIRECTIONS):
         return hull
-    corners = hull.triangles.reshape(-1, 3)
+    corners = hull.surface.corners.reshape(-1, 3)
     return replace(hull, planes=np.column_stack([DIRECTIONS, -(corners @ DIRECTIONS.T).max(axis=0)]))
 
 
@@ -143,7 +143,7 @@ class BoundingBalls:
     @classmethod
     def of(cls, solid: ObjectSolid) -> Self:
         """The cover of the surfaces of an object's convex parts, CoM frame."""
-        triangles, coarse = np.concatenate([hull.triangles for hull in solid.hulls]), coarseness(solid)
+        triangles, coarse = np.concatenate([hull.surface.corners for hull in solid.hulls]), coarseness(solid)
         small, _, _ = gather_balls(tile_balls(triangles, coarse * TILE_REACH), coarse * SMALL_CELL)
         large, order, counts = gather_balls(small, coarse * LARGE_CELL)
         return cls(large, Balls(small.centres[order], small.radii[order]), counts)
@@ -151,7 +151,7 @@ class BoundingBalls:
 
 def coarseness(solid: ObjectSolid) -> float:
     """Factor by which tiles and cells are larger than on a small object: 1 up to `FINE_SURFACE`."""
-    surface = running_sum(float(hull.areas.sum()) for hull in solid.hulls)
+    surface = running_sum(float(hull.surface.areas.sum()) for hull in solid.hulls)
     return max(1.0, sqrt(surface / FINE_SURFACE))
 
 

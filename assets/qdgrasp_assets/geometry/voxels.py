@@ -5,12 +5,13 @@ A voxel grid is a box of small cubes, each with a level, looked up for many poin
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from qdgrasp_assets.geometry.rotation import Floats
+from qdgrasp_assets.geometry.mesh import Floats, Mesh
 
 PLANE_DECIMALS = 9  # Decimals in which two half-spaces agree that are one: triangles of the same face
 
@@ -19,28 +20,23 @@ PLANE_DECIMALS = 9  # Decimals in which two half-spaces agree that are one: tria
 class Hull:
     """The points x with normal . x + offset <= 0 for every plane."""
 
+    surface: Mesh
+    """Its triangles; the vertices are all points that it is the hull of."""
     planes: Floats
     """(p, 4): outward unit normal, and offset [m]."""
     low: Floats
     """(3,) [m]: the low corner of its box."""
     high: Floats
-    triangles: Floats
-    """(t, 3, 3) [m]: its surface."""
-    corners: Floats
-    """(v, 3) [m]: the points that it is the hull of."""
-    ends: Floats
-    """(e, 3) [m]: those of the points that are not within it."""
 
     @property
     def normals(self) -> Floats:
         """(p, 3): the outward unit normals of its planes."""
         return self.planes[:, :3]
 
-    @property
-    def areas(self) -> Floats:
-        """(t,) [m2]: the areas of the triangles of its surface."""
-        a, b, c = np.moveaxis(self.triangles, 1, 0)
-        return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+    @cached_property
+    def ends(self) -> Floats:
+        """(e, 3) [m]: the corners of its triangles; the other points lie within it."""
+        return np.asarray(self.surface.vertices[np.unique(self.surface.faces)])
 
     def grown(self, by: float) -> Self:
         """The hull with its planes moved outward by `by` [m]."""
@@ -51,12 +47,8 @@ class Hull:
         """The hull in the frame that `frame` (4, 4) comes from."""
         rotation, shift = frame[:3, :3], frame[:3, 3]
         normals = self.normals @ rotation.T
-        offsets = self.planes[:, 3] - normals @ shift
-        triangles = self.triangles @ rotation.T + shift
-        corners = triangles.reshape(-1, 3)
-        planes = np.column_stack([normals, offsets])
-        placed, ends = (points @ rotation.T + shift for points in (self.corners, self.ends))
-        return Hull(planes, corners.min(axis=0), corners.max(axis=0), triangles, placed, ends)
+        surface = replace(self.surface, vertices=self.surface.vertices @ rotation.T + shift)
+        return Hull(surface, np.column_stack([normals, self.planes[:, 3] - normals @ shift]), *surface.bounds)
 
 
 def convex_hulls(parts: Iterable[Floats]) -> list[Hull]:
@@ -71,9 +63,8 @@ def convex_hulls(parts: Iterable[Floats]) -> list[Hull]:
             continue
         _, first = np.unique(hull.equations.round(PLANE_DECIMALS), axis=0, return_index=True)
         planes = hull.equations[np.sort(first)]
-        surface = corners[hull.simplices]
-        ends = corners[hull.vertices]
-        found.append(Hull(planes, corners.min(axis=0), corners.max(axis=0), surface, corners, ends))
+        surface = Mesh(corners, hull.simplices.astype(np.int64))
+        found.append(Hull(surface, planes, *surface.bounds))
     return found
 
 

@@ -15,7 +15,7 @@ from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.geometry.rotation import Floats, dot
 from qdgrasp_assets.geometry.voxels import Hull, Singles, convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import CollisionShape, collision_elements, part_corners, shapes
-from qdgrasp_assets.grippers.urdf import Urdf, scene_robot
+from qdgrasp_assets.grippers.urdf import Urdf, rigid_pieces, scene_robot
 from qdgrasp_assets.scene import SceneGripper
 
 HANDS_KEPT = 8  # Hands whose geometry a process keeps, the last ones used
@@ -105,17 +105,9 @@ class HandGeometry:
             yield shape, shape.vertices @ frame[:3, :3].T + frame[:3, 3]
 
 
-def rigid_pieces(robot: Urdf) -> dict[str, str]:
-    """Return the first link of the rigid piece of each link."""
-    heads = {robot.root: robot.root}
-    for joint in robot.joints_beyond(robot.root):
-        heads[joint.child] = joint.child if joint.moves else heads[joint.parent]
-    return heads
-
-
 def neighbours(robot: Urdf) -> set[tuple[str, str]]:
     """Return pairs of links, in order of name, with at most one moving joint between them."""
-    heads = rigid_pieces(robot)
+    heads = rigid_pieces(robot.element)
     carriers = {robot.root: robot.root}  # the first link of the piece that carries each
     for joint in robot.joints_beyond(robot.root):
         carriers.setdefault(heads[joint.child], heads[joint.parent])
@@ -144,7 +136,7 @@ class HandSurfaceSamples:
         self._opened = hand.frames(np.array([[joint.opened for joint in hand.gripper.joints]]))
         self._links, self._points = self._sample()
         self._corners = {
-            name: np.unique(np.concatenate([hull.triangles.reshape(-1, 3) for hull in hulls]), axis=0)
+            name: np.unique(np.concatenate([hull.surface.corners.reshape(-1, 3) for hull in hulls]), axis=0)
             for name, hulls in self._hand.hulls.items()
             if hulls
         }
@@ -187,7 +179,7 @@ class HandSurfaceSamples:
         parts = [(i, hull) for i, name in enumerate(self._names) for hull in self._hand.hulls[name]]
         if not parts:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-        sizes = np.array([hull.areas.sum() for _, hull in parts])
+        sizes = np.array([hull.surface.areas.sum() for _, hull in parts])
         counts = np.maximum(1, np.rint(DRAWN_POINTS * sizes / sizes.sum())).astype(np.int64)
         points = [draw_points(hull, count, random) for (_, hull), count in zip(parts, counts, strict=True)]
         links = np.repeat([link for link, _ in parts], counts)
@@ -200,10 +192,10 @@ class HandSurfaceSamples:
 
 def draw_points(hull: Hull, n: int, random: np.random.Generator) -> Floats:
     """Draw points (n, 3) [m] that are inside a hull, most of them close under its surface."""
-    sizes = hull.areas
-    triangles = hull.triangles[random.choice(len(sizes), n, p=sizes / sizes.sum())]
+    sizes = hull.surface.areas
+    triangles = hull.surface.corners[random.choice(len(sizes), n, p=sizes / sizes.sum())]
     weights = random.dirichlet((1.0, 1.0, 1.0), n)
-    centre = hull.triangles.reshape(-1, 3).mean(axis=0)
+    centre = hull.surface.corners.reshape(-1, 3).mean(axis=0)
     depth = np.where(random.random(n) < DEEP_SHARE, random.random(n) ** (1 / 3), 1.0) * SURFACE_SCALE
     return np.asarray(centre + depth[:, None] * ((weights[:, :, None] * triangles).sum(axis=1) - centre))
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.mesh import Floats, unreadable_as
 from qdgrasp_assets.geometry.voxels import Hull, convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import collision_elements, collision_shape, part_corners
-from qdgrasp_assets.grippers.hand_geometry import neighbours, rigid_pieces
-from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, scene_robot
+from qdgrasp_assets.grippers.hand_geometry import neighbours
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, rigid_pieces, scene_robot
 from qdgrasp_assets.scene import SceneGripper
 
 Position = TypeVar("Position", float, Floats)
@@ -204,7 +204,7 @@ class HandModel:
     @cached_property
     def rigid_piece(self) -> dict[str, str]:
         """First link of the rigid piece of each link."""
-        return rigid_pieces(self.robot)
+        return rigid_pieces(self.robot.element)
 
     @cached_property
     def _neighbours(self) -> set[tuple[str, str]]:
@@ -227,7 +227,7 @@ class HandModel:
     def corners(self, links: Iterable[str], posture: Mapping[str, float]) -> Floats:
         """Return all corners (n, 3) [m] of some links, base link's frame."""
         placed = self.parts_at(posture, [link for link in links if link in self.parts])
-        found = [part.corners for parts in placed.values() for part in parts]
+        found = [part.surface.vertices for parts in placed.values() for part in parts]
         return np.concatenate([np.zeros((0, 3)), *found])
 
     def joint(self, name: str) -> UrdfJoint:
@@ -439,7 +439,7 @@ def _tips(body: HandModel, first: str, links: tuple[str, ...]) -> Iterable[tuple
     """Yield the corners farthest from a limb's root, link by link, joints at zero."""
     frames = body.robot.forward({})
     origin = frames[first][:3, 3]
-    corners = {link: np.concatenate([part.corners for part in body.parts[link]]) for link in links}
+    corners = {link: np.concatenate([part.surface.vertices for part in body.parts[link]]) for link in links}
     away = {
         link: np.linalg.norm(points @ frames[link][:3, :3].T + frames[link][:3, 3] - origin, axis=1)
         for link, points in corners.items()

@@ -13,7 +13,7 @@ from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import stl_triangles
 from qdgrasp_assets.grippers.collision_shapes import FORMS, collision_elements
 from qdgrasp_assets.grippers.hand_model import collision_corners
-from qdgrasp_assets.grippers.urdf import Urdf, edges, listed, numbers_in
+from qdgrasp_assets.grippers.urdf import Urdf, listed, numbers_in, rigid_pieces
 from qdgrasp_protocol.errors import AssetError
 
 REPAIR_ADVICE = "or have `qdgrasp gripper new --repair` do it"
@@ -131,7 +131,7 @@ def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
     inertials, masses = _inertials(element), _masses(element)
     # A joint without mass beyond it stands still in Bullet, with any motor; a frame of mass 0 that is fixed
     # to a link with a mass moves with it.
-    pieces = _pieces(element)
+    pieces = rigid_pieces(element)
     heavy = {pieces[name] for name, mass in masses.items() if mass != 0}
     yield (
         [
@@ -148,19 +148,9 @@ def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
     )
 
 
-def _pieces(element: ET.Element) -> dict[str, str]:
-    """Map each link to the link that stands for its rigid piece."""
-    pieces = {name: name for name in _inertials(element)}
-    for joint, (parent, child) in zip(element.findall("joint"), edges(element), strict=True):
-        if joint.get("type") == "fixed" and {parent, child} <= pieces.keys():
-            old, new = pieces[child], pieces[parent]
-            pieces = {name: new if piece == old else piece for name, piece in pieces.items()}
-    return pieces
-
-
 def bare_links(element: ET.Element) -> tuple[str, ...]:
     """Return the links that have visual shapes alone, as all that is fixed to them."""
-    pieces, links = _pieces(element), element.findall("link")
+    pieces, links = rigid_pieces(element), element.findall("link")
     shaped = {pieces[link.get("name", "")] for link in links if link.find("collision") is not None}
     seen = (link.get("name", "") for link in links if link.find("visual") is not None)
     return tuple(name for name in seen if pieces[name] not in shaped)

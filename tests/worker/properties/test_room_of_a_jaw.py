@@ -23,7 +23,7 @@ def room(scene: Scene) -> float:
     hand = hand_geometry(scene.gripper)
     frames = hand.frames(np.array([[joint.opened for joint in scene.gripper.joints]]))
     placed = [hull.moved(frames[link][0]) for link in scene.gripper.finger_links for hull in hand.hulls[link]]
-    return min(float(np.abs(hull.corners[:, 1]).min()) for hull in placed)
+    return min(float(np.abs(hull.surface.vertices[:, 1]).min()) for hull in placed)
 
 
 @pytest.mark.parametrize("diameter", [0.077, 0.0785, 0.0793])
