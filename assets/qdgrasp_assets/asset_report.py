@@ -20,7 +20,7 @@ from qdgrasp_assets.geometry.collision_parts import (
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
 from qdgrasp_assets.geometry.mesh_io import scale_in_words
 from qdgrasp_assets.geometry.mesh_repair import MeshEdges, body_volumes
-from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
+from qdgrasp_assets.geometry.proximity import resolution_notes
 from qdgrasp_assets.geometry.surface_points import POINTS_PER_METRE
 from qdgrasp_assets.gripper_setup.draft import DraftOverrides, draft_gripper
 from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, posture_faults, posture_notes
@@ -176,7 +176,7 @@ def _solid_notes(mesh: Mesh, bodies: int, hollows: int, density: float | None) -
             f"{100 * inside:.1f} % of its surface lies inside it, where it cuts itself or bodies overlap: "
             "such room counts twice in volume and centre of mass, and is aimed at; unite the bodies"
         )
-    yield from resolution_notes(mesh.extents, thin_share(mesh))
+    yield from resolution_notes(mesh)
     if density is None:
         yield f"a run needs its mass (--mass); of water it would be {WATER * mesh.volume:.3g} kg"
     elif not LIGHTEST <= density <= HEAVIEST:

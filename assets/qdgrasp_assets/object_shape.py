@@ -5,7 +5,7 @@ it is the same, and it is kept on the disk under the key of its task. Name, lice
 part of it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
@@ -20,14 +20,13 @@ from qdgrasp_assets.asset_paths import cache_folder, named_path, write_whole
 from qdgrasp_assets.code_version import building_code, file_digest
 from qdgrasp_assets.geometry.collision_parts import (
     FingerClearance,
-    PartsFit,
     Tell,
     ignore_progress,
 )
 from qdgrasp_assets.geometry.mesh import parse_parts, parts_to_obj
 from qdgrasp_assets.geometry.mesh_io import check_file, linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
-from qdgrasp_assets.geometry.proximity import resolution_notes, thin_share
+from qdgrasp_assets.geometry.proximity import resolution_notes
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
 from qdgrasp_assets.object_model import ObjectDraft, ObjectGeometry, geometry_of, solid_draft, warn_of_mesh
 from qdgrasp_assets.scene import ObjectBody, SurfacePoints, Words, vector
@@ -38,8 +37,6 @@ from qdgrasp_protocol.messages import MAX_REASON, unpack_values
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import printable
 
-Share = Annotated[float, Meta(ge=0, le=1)]
-
 
 class ObjectShape(ObjectBody, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The geometry of an object."""
@@ -47,22 +44,8 @@ class ObjectShape(ObjectBody, frozen=True, kw_only=True, forbid_unknown_fields=T
     surface: SurfacePoints
     repairs: Annotated[tuple[Words, ...], Meta(max_length=64)] = ()
     """Repairs and changes of the mesh, in words."""
-    thin: Share = 0.0
-    """Share of the surface whose walls are thinner than the simulator resolves."""
-    filled: Share = 0.0
-    """Share of the surface in front of which the parts fill free space."""
-    bare: Share = 0.0
-    """Share of the surface that is outside all parts."""
-
-    @property
-    def notes(self) -> Iterator[str]:
-        """Warnings about its convex parts and fine walls."""
-        if not PartsFit(self.filled, self.bare).is_good:
-            yield (
-                f"its convex parts fill the room in front of {100 * self.filled:.0f} % of its surface, and "
-                f"leave {100 * self.bare:.0f} % of it out, where grasps may be lost"
-            )
-        yield from resolution_notes(np.subtract(self.surface.object_high, self.surface.object_low), self.thin)
+    notes: Annotated[tuple[Words, ...], Meta(max_length=64)] = ()
+    """Warnings about its convex parts and fine walls."""
 
 
 MAX_SHAPE = 32 << 20
@@ -129,13 +112,8 @@ def _coordinates(cloud: NDArray[np.float32]) -> NDArray[np.float32]:
     return cloud
 
 
-def shape_of(
-    body: ObjectGeometry, protocol: str, seed: int, fit: PartsFit | None = None, thin: float = 0.0
-) -> ObjectShape:
-    """Return the shape of a body, with surface points as an evaluation protocol has them.
-
-    `fit` of its parts, and its `thin` share, are noted in it.
-    """
+def shape_of(body: ObjectGeometry, protocol: str, seed: int, notes: tuple[str, ...] = ()) -> ObjectShape:
+    """Return the shape of a body, with surface points as an evaluation protocol has them."""
     mesh, parts = body.centred_mesh, body.centred_parts
     return ObjectShape(
         collision_source=body.collision_source,
@@ -145,9 +123,7 @@ def shape_of(
         mesh_faces=mesh.faces.astype("<u4").tobytes(),
         surface=SURFACES[protocol](mesh, parts, body.com_in_mesh, seed),
         repairs=body.repairs,
-        thin=thin,
-        filled=fit.filled if fit else 0.0,
-        bare=fit.bare if fit else 0.0,
+        notes=notes,
     )
 
 
@@ -206,10 +182,14 @@ def build_shape(task: ShapeTask, folder: Path) -> ObjectShape:
 
 
 def _judged_shape(draft: ObjectDraft, protocol: str, seed: int) -> ObjectShape:
-    """Return the shape of a draft without faults, with the fit of its parts."""
+    """Return the shape of a draft without faults, with notes on its parts and walls."""
     body = geometry_of(draft)
-    fit, thin = FingerClearance(body.mesh).fit(body.parts), thin_share(body.mesh)
-    return shape_of(body, protocol, seed, fit, thin)
+    fit, notes = FingerClearance(body.mesh).fit(body.parts), resolution_notes(body.mesh)
+    lost = (
+        f"its convex parts fill the room in front of {100 * fit.filled:.0f} % of its surface, and leave "
+        f"{100 * fit.bare:.0f} % of it out, where grasps may be lost"
+    )
+    return shape_of(body, protocol, seed, (*(() if fit.is_good else (lost,)), *notes))
 
 
 def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
@@ -217,16 +197,15 @@ def file_shape(spec: RunSpec, tell: Tell = ignore_progress) -> ObjectShape:
 
     `tell` is called with a sentence before it is built. Errors are those of `solid_draft`.
     """
-    path, store, task = named_path(spec.object), ShapeStore(), shape_task(spec)
-    if task and (known := store.get(task.key)):
-        warn_of_mesh(path, known.repairs, known.notes)
-        return known
-    tell(f"building the shape of {path.name}")
-    draft = solid_draft(path, spec.scale, spec.mesh)
-    shape = _judged_shape(draft, spec.protocol, spec.surface_seed)
+    path, task = named_path(spec.object), shape_task(spec)
+
+    def build() -> ObjectShape:
+        tell(f"building the shape of {path.name}")
+        draft = solid_draft(path, spec.scale, spec.mesh)
+        return _judged_shape(draft, spec.protocol, spec.surface_seed)
+
+    shape = ShapeStore().kept(task.key, build) if task else build()
     warn_of_mesh(path, shape.repairs, shape.notes)
-    if task:
-        store.put(task.key, pack_shape(shape))
     return shape
 
 
@@ -242,6 +221,13 @@ class ShapeStore:
             return unpack_shape(self._file(key).read_bytes())
         except (OSError, MessageError):
             return None
+
+    def kept(self, key: str, build: Callable[[], ObjectShape]) -> ObjectShape:
+        """Return a shape, built and put here where it is not there."""
+        if (shape := self.get(key)) is None:
+            shape = build()
+            self.put(key, pack_shape(shape))
+        return shape
 
     def __contains__(self, key: str) -> bool:
         """Return whether a file of this key is there, whole or not."""

@@ -26,16 +26,6 @@ UNUSABLE, FAILED = 2, 1
 """Exit codes where no object can be made of the files, and where it cannot be made on this machine."""
 
 
-def build(task: ShapeTask, folder: Path) -> bytes:
-    """Return the packed shape of a task, from the store, or by `build_shape` and put there."""
-    store = ShapeStore()
-    known = store.get(task.key)
-    payload = pack_shape(known or build_shape(task, folder))
-    if known is None:
-        store.put(task.key, payload)
-    return payload
-
-
 def main() -> int:
     """Build the shape of the task in the first file; return the exit code."""
     end_with_parent_only()
@@ -45,7 +35,7 @@ def main() -> int:
     task = msgspec.msgpack.decode(task_file.read_bytes(), type=ShapeTask)
     is_limit_of_task = limit_memory(MOST_MEMORY)
     try:
-        payload = build(task, folder)
+        payload = pack_shape(ShapeStore().kept(task.key, lambda: build_shape(task, folder)))
     except (QdgraspError, MemoryError) as error:
         is_local = isinstance(error, UnreadableHere)
         is_final, sentence = isinstance(error, AssetError) and not is_local, str(error)

@@ -230,7 +230,6 @@ FAULTS: dict[str, Changes] = {
     "two numbers": {"surface": {"object_low": (0.0, 0.0)}},
     "no parts": {"collision": b""},
     "a part of other text": {"collision": b"mtllib x\n"},
-    "a share of two": {"filled": 2.0},
     "many repairs": {"repairs": ("merged",) * 65},
     "long words": {"collision_source": "x" * 2000},
     "another field": {"more": 1},

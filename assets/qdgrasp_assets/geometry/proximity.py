@@ -73,15 +73,15 @@ def thin_share(mesh: Mesh) -> float:
     return float((walls < THINNEST).mean())
 
 
-def resolution_notes(extents: Floats, thin: float) -> Iterator[str]:
-    """Yield what is said of an object of these extents (3,) [m] with a share of thin walls."""
-    if thin > MOST_THIN:
+def resolution_notes(mesh: Mesh) -> Iterator[str]:
+    """Yield what of a closed mesh is too thin or small for the simulator to resolve."""
+    if (thin := thin_share(mesh)) > MOST_THIN:
         yield (
             f"{100 * thin:.0f} % of its surface is of walls thinner than {1000 * THINNEST:g} mm, and the "
             f"simulator meets its parts {1000 * PART_MARGIN:g} mm outside their surface: these walls are met "
             "more than twice as thick as they are"
         )
-    if (largest := float(np.max(extents))) < SMALLEST_SIDE:
+    if (largest := float(mesh.extents.max())) < SMALLEST_SIDE:
         met = largest + 2 * PART_MARGIN
         yield (
             f"it is {1000 * largest:.1f} mm large, smaller than the cells of {1000 * SMALLEST_SIDE:g} mm by "
