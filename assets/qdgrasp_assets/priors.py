@@ -59,6 +59,12 @@ class PriorPoses:
     """(n,): genomes that stand for no pose, though all genes are finite; their poses are zeros."""
 
 
+def aimless(positions: Floats, quaternions: Floats) -> PriorPoses:
+    """Return the poses of a prior that does not aim at the surface."""
+    n = len(positions)
+    return PriorPoses(positions, quaternions, np.zeros((n, 3)), np.zeros(n), np.zeros(n, dtype=bool))
+
+
 class Prior(ABC):
     """Decodes the leading genes of a genome to a hand pose."""
 
@@ -90,8 +96,7 @@ class FixedPosePrior(Prior):
         given = genes[:, 3:7]
         lengths = np.sqrt((given * given).sum(axis=1, keepdims=True))
         quaternions = np.where(np.abs(lengths - 1.0) < ROUNDING, given, given / lengths)
-        n = len(genes)
-        return PriorPoses(genes[:, :3], quaternions, np.zeros((n, 3)), np.zeros(n), np.zeros(n, dtype=bool))
+        return aimless(genes[:, :3], quaternions)
 
 
 class SphericalPrior(Prior):
@@ -107,14 +112,7 @@ class SphericalPrior(Prior):
             np.sin(colatitude) * np.sin(longitude),
             np.cos(colatitude),
         ]
-        n = len(genes)
-        return PriorPoses(
-            radius[:, None] * np.stack(outward, axis=-1),
-            from_euler(genes[:, 3:6]),
-            np.zeros((n, 3)),
-            np.zeros(n),
-            np.zeros(n, dtype=bool),
-        )
+        return aimless(radius[:, None] * np.stack(outward, axis=-1), from_euler(genes[:, 3:6]))
 
 
 class ConePrior(Prior):

@@ -129,14 +129,10 @@ def check_convex(gripper: SceneGripper) -> None:
 
 def part_corners(robot: Urdf, collision: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
     """Yield the corners (v, 3) of each convex part of a collision shape [m], link frame."""
-    geometry = collision.find("geometry")
-    if geometry is None or not len(geometry) or collision.get(CONCAVE) is not None:
-        return
-    if geometry[0].tag not in FORMS:
-        return
-    frame = parse_origin(robot.path, collision.find("origin"))
-    for corners in geometry_corners(geometry[0], files):
-        yield corners @ frame[:3, :3].T + frame[:3, 3]
+    for element in collision.findall("geometry/*")[:1] if collision.get(CONCAVE) is None else ():
+        frame = parse_origin(robot.path, collision.find("origin"))
+        for corners in geometry_corners(element, files) if element.tag in FORMS else ():
+            yield corners @ frame[:3, :3].T + frame[:3, 3]
 
 
 def geometry_corners(element: ET.Element, files: Mapping[str, bytes]) -> Iterator[Floats]:
