@@ -22,7 +22,7 @@ from qdgrasp_assets.grippers.hand_model import are_deep
 from qdgrasp_assets.object_model import ObjectFacts, ObjectModel, file_facts
 from qdgrasp_assets.object_shape import FARTHEST, ObjectShape, file_shape, is_in_catalog, shape_of
 from qdgrasp_assets.regions import with_regions
-from qdgrasp_assets.scene import ObjectBody, Scene, SceneGripper, SceneObject, Vector
+from qdgrasp_assets.scene import BodyGeometry, Scene, SceneGripper, SceneObject, Vector
 from qdgrasp_assets.stand_ins import LICENCE, STAND_INS, stand_in
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.rows import MAX_CONTACT_SLOTS
@@ -75,7 +75,7 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress, known: ObjectShape 
             lateral_friction=facts.lateral_friction,
             rolling_friction=ROLLING_FRICTION,
             spinning_friction=SPINNING_FRICTION,
-            **{key: getattr(shape, key) for key in ObjectBody.__struct_fields__},
+            **{key: getattr(shape, key) for key in BodyGeometry.__struct_fields__},
         ),
         **structs.asdict(shape.surface),
         contact_slots=min(MAX_CONTACT_SLOTS, CONTACTS_PER_FINGER_LINK * len(hand.finger_links)),

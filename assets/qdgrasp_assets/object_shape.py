@@ -29,7 +29,7 @@ from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
 from qdgrasp_assets.geometry.proximity import resolution_notes
 from qdgrasp_assets.geometry.surface_points import SURFACES, paper_surface
 from qdgrasp_assets.object_model import ObjectDraft, ObjectGeometry, geometry_of, solid_draft, warn_of_mesh
-from qdgrasp_assets.scene import ObjectBody, SurfacePoints, Words, vector
+from qdgrasp_assets.scene import BodyGeometry, SurfacePoints, Words, vector
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.errors import AssetError, MessageError, QdgraspError
@@ -38,7 +38,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import printable
 
 
-class ObjectShape(ObjectBody, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ObjectShape(BodyGeometry, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The geometry of an object."""
 
     surface: SurfacePoints

@@ -132,7 +132,7 @@ class SceneGripper(Struct, frozen=True, kw_only=True):
         return self.palm_offset + self.standoff[1]
 
 
-class ObjectBody(Struct, frozen=True, kw_only=True):
+class BodyGeometry(Struct, frozen=True, kw_only=True):
     """Mesh and convex parts of an object in its CoM frame: origin at the CoM, axes of the mesh."""
 
     collision_source: Words
@@ -168,7 +168,7 @@ class ObjectBody(Struct, frozen=True, kw_only=True):
         return float(np.sqrt((self.vertices.astype(np.float64) ** 2).sum(axis=1).max()))
 
 
-class SceneObject(ObjectBody, frozen=True, kw_only=True):
+class SceneObject(BodyGeometry, frozen=True, kw_only=True):
     """A rigid object."""
 
     name: str

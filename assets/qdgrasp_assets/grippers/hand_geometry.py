@@ -4,6 +4,7 @@ All of it depends on the hand alone, and the evaluation's filters, the pictures 
 from it: convex parts are what the simulator makes of collision shapes, shapes are the triangles drawn.
 """
 
+import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from functools import cached_property, lru_cache
 
@@ -15,7 +16,7 @@ from qdgrasp_assets.geometry.mesh import Mesh, join
 from qdgrasp_assets.geometry.rotation import Floats, dot
 from qdgrasp_assets.geometry.voxels import Hull, Singles, convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import CollisionShape, collision_elements, part_corners, shapes
-from qdgrasp_assets.grippers.urdf import Urdf, rigid_pieces, scene_robot
+from qdgrasp_assets.grippers.urdf import MOVING, Urdf, edges, scene_robot
 from qdgrasp_assets.scene import SceneGripper
 
 HANDS_KEPT = 8  # Hands whose geometry a process keeps, the last ones used
@@ -103,6 +104,17 @@ class HandGeometry:
         for shape in self.shapes:
             frame = frames[shape.link]
             yield shape, shape.vertices @ frame[:3, :3].T + frame[:3, 3]
+
+
+def rigid_pieces(element: ET.Element) -> dict[str, str]:
+    """Map each link of a `<robot>` to the first link of its rigid piece."""
+    names = [link.get("name", "") for link in element.findall("link")]
+    pieces = dict(zip(names, names, strict=True))
+    for joint, (parent, child) in zip(element.findall("joint"), edges(element), strict=True):
+        if joint.get("type") not in MOVING and {parent, child} <= pieces.keys():
+            old, new = pieces[child], pieces[parent]
+            pieces = {name: new if piece == old else piece for name, piece in pieces.items()}
+    return pieces
 
 
 def neighbours(robot: Urdf) -> set[tuple[str, str]]:

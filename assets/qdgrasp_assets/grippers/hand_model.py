@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from qdgrasp_assets.geometry.mesh import Floats, unreadable_as
 from qdgrasp_assets.geometry.voxels import Hull, convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import collision_elements, collision_shape, part_corners
-from qdgrasp_assets.grippers.hand_geometry import neighbours
-from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, rigid_pieces, scene_robot
+from qdgrasp_assets.grippers.hand_geometry import neighbours, rigid_pieces
+from qdgrasp_assets.grippers.urdf import Urdf, UrdfJoint, scene_robot
 from qdgrasp_assets.scene import SceneGripper
 
 Position = TypeVar("Position", float, Floats)

@@ -269,17 +269,6 @@ def edges(element: ET.Element) -> Iterator[tuple[str, str]]:
         yield joint_end(joint, "parent"), joint_end(joint, "child")
 
 
-def rigid_pieces(element: ET.Element) -> dict[str, str]:
-    """Map each link of a `<robot>` to the first link of its rigid piece."""
-    names = [link.get("name", "") for link in element.findall("link")]
-    pieces = dict(zip(names, names, strict=True))
-    for joint, (parent, child) in zip(element.findall("joint"), edges(element), strict=True):
-        if joint.get("type") not in MOVING and {parent, child} <= pieces.keys():
-            old, new = pieces[child], pieces[parent]
-            pieces = {name: new if piece == old else piece for name, piece in pieces.items()}
-    return pieces
-
-
 def listed(kind: str, names: list[str]) -> str:
     """Names with their kind and its verb: "the link 'a' is", "the links 'a', 'b' are"."""
     many = len(names) > 1

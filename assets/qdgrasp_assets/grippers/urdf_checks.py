@@ -12,8 +12,9 @@ import numpy as np
 from qdgrasp_assets.asset_paths import path_problem
 from qdgrasp_assets.geometry.mesh import stl_triangles
 from qdgrasp_assets.grippers.collision_shapes import FORMS, collision_elements
+from qdgrasp_assets.grippers.hand_geometry import rigid_pieces
 from qdgrasp_assets.grippers.hand_model import collision_corners
-from qdgrasp_assets.grippers.urdf import Urdf, listed, numbers_in, rigid_pieces
+from qdgrasp_assets.grippers.urdf import Urdf, listed, numbers_in
 from qdgrasp_protocol.errors import AssetError
 
 REPAIR_ADVICE = "or have `qdgrasp gripper new --repair` do it"

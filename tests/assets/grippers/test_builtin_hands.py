@@ -27,10 +27,6 @@ class Hand:
     gripper: Gripper
     robot: Urdf
 
-    @property
-    def moving(self):
-        return [joint for joint in self.robot.joints if joint.moves]
-
 
 @dataclass(frozen=True)
 class Pair:
@@ -44,17 +40,15 @@ class Pair:
         random = np.random.default_rng(0)
         merged = {name: table.open for name, table in self.reference.gripper.file.joints.items()}
         for _ in range(count):
-            yield {**merged, **{j.name: random.uniform(j.lower, j.upper) for j in self.own.moving}}
+            yield {
+                **merged,
+                **{j.name: random.uniform(j.lower, j.upper) for j in self.own.robot.joints if j.moves},
+            }
 
 
 def find_hand(name):
     gripper = find_gripper(name)
     return Hand(gripper, gripper.robot.subtree(gripper.file.base_link))
-
-
-@pytest.fixture(params=REFERENCES)
-def own(request):
-    return find_hand(request.param)
 
 
 @pytest.fixture(params=REFERENCES)

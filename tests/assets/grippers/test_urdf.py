@@ -103,7 +103,6 @@ def refused(path, content):
         ("hand.stl", bytes(range(128, 256)), "is not XML but binary data"),
         ("world.sdf", '<sdf version="1.6"/>', "is no URDF but an SDF file"),
         ("hand.xml", '<mujoco model="hand"/>', "is no URDF but a MuJoCo file"),
-        ("hand.urdf", "<html/>", "whose root is <html>"),
         ("hand.urdf", '<robot><xacro:hand side="left"/></robot>', "> hand_plain.urdf`"),
     ],
 )
