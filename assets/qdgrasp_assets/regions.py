@@ -15,11 +15,12 @@ from qdgrasp_assets.geometry.mesh_repair import is_surface, point_in_words
 from qdgrasp_assets.geometry.proximity import SKEW_DIRECTION, inside_count
 from qdgrasp_assets.geometry.surface_points import packed_points, sample_surface
 from qdgrasp_assets.grippers.urdf import numbers_in
-from qdgrasp_assets.scene import BORDER, Scene
+from qdgrasp_assets.scene import BORDER, Region, Scene
 from qdgrasp_assets.stand_ins import MESHES
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName
 from qdgrasp_protocol.spec import RunSpec
 
+Mask = NDArray[np.bool_]
 SAMPLES_PER_AREA = 4e6  # Points on the surface [1/m2]: half a millimetre apart
 MOST_SAMPLES = 1 << 20
 SHAPES = {"box": "x0,y0,z0,x1,y1,z1", "ball": "x,y,z,r", "above": "z"}
@@ -37,8 +38,17 @@ def with_regions(scene: Scene, spec: RunSpec) -> Scene:
 
     mesh, com = scene.object.mesh, np.array(scene.object.com_in_mesh)
     points, drawn = _samples(mesh)
-    on, avoid = ([_mask(each, spec, points + com) for each in names or ()] for names in (spec.on, spec.avoid))
-    allowed = (np.any(on, axis=0) if on else True) & ~np.any([np.zeros(len(points), bool), *avoid], axis=0)
+    regions = tuple(
+        Region(
+            name=named_path(name).name if _is_file(name) else name,
+            mask=np.packbits(_mask(name, spec, points + com)).tobytes(),
+            is_allowed=is_allowed,
+        )
+        for is_allowed, names in ((True, spec.on), (False, spec.avoid))
+        for name in names or ()
+    )
+    scene = structs.replace(scene, regions=regions)
+    _, allowed = allowed_points(scene)
     inner = np.flatnonzero(allowed & (KDTree(points[~allowed]).query(points)[0] >= BORDER))
     if not len(inner):
         raise AssetError(
@@ -47,7 +57,39 @@ def with_regions(scene: Scene, spec: RunSpec) -> Scene:
     chosen = inner[: len(scene.surface_points)]
     ends = points[chosen].min(axis=0), points[chosen].max(axis=0)
     aimed = packed_points(mesh, points[chosen], mesh.normals[drawn[chosen]], *ends)
-    return structs.replace(scene, allowed=np.packbits(allowed).tobytes(), **structs.asdict(aimed))
+    return structs.replace(scene, **structs.asdict(aimed))
+
+
+def allowed_points(scene: Scene) -> tuple[Floats, Mask]:
+    """Return points (s, 3) [m] on a scene's object, and which contacts may be on (s,).
+
+    The points are in the CoM frame; the scene has regions.
+    """
+    masks, is_on = _masks(scene), np.array([region.is_allowed for region in scene.regions])
+    allowed = (masks[is_on].any(axis=0) | (not is_on.any())) & ~masks[~is_on].any(axis=0)
+    return sample_surface(scene.object.mesh, len(allowed), seed=0)[0], allowed
+
+
+def regions_at(scene: Scene, points: Floats) -> list[str]:
+    """Return the name of the first region of a scene that each of its points is in; "" in none.
+
+    `points` (n, 3) [m] are finite and on the object or near it, in the frame of its mesh file, which is the
+    CoM frame plus `com_in_mesh`. A point is in the regions of the nearest of the points sampled there.
+    """
+    from scipy.spatial import KDTree
+
+    if not scene.regions:
+        return [""] * len(points)
+    samples, names = allowed_points(scene)[0], [region.name for region in scene.regions]
+    nearest = KDTree(samples).query(points - np.array(scene.object.com_in_mesh))[1]
+    masks = np.vstack([_masks(scene)[:, nearest], np.ones(len(points), bool)])
+    return [[*names, ""][first] for first in masks.argmax(axis=0)]
+
+
+def _masks(scene: Scene) -> Mask:
+    """Return which of the points sampled on a scene's object are in each region (r, s)."""
+    packed = np.array([np.frombuffer(region.mask, np.uint8) for region in scene.regions])
+    return np.unpackbits(packed, axis=1).astype(bool)
 
 
 def _samples(mesh: Mesh) -> tuple[Floats, NDArray[np.int64]]:
@@ -57,13 +99,13 @@ def _samples(mesh: Mesh) -> tuple[Floats, NDArray[np.int64]]:
     )
 
 
-def _mask(name: str, spec: RunSpec, points: Floats) -> NDArray[np.bool_]:
+def _mask(name: str, spec: RunSpec, points: Floats) -> Mask:
     """Return which points (n, 3) [m] on an object are in a region, frame of its mesh."""
     said = _said_regions(spec.object)
     region = said.get(name, name)
     if region.partition(":")[0] in SHAPES:
         mask = _in_shape(region, points)
-    elif named_path(region).suffix.lower() in (*READABLE_FORMATS, *FORMAT_PACKAGES):
+    elif _is_file(region):
         mask = _on_mesh(read_mesh_file(named_path(region)).mesh.scaled(spec.scale or 1.0), points)
     else:
         raise UnknownName("region", name, said, HINT)
@@ -76,6 +118,10 @@ def _mask(name: str, spec: RunSpec, points: Floats) -> NDArray[np.bool_]:
     return mask
 
 
+def _is_file(name: str) -> bool:
+    return named_path(name).suffix.lower() in (*READABLE_FORMATS, *FORMAT_PACKAGES)
+
+
 def _said_regions(name: str) -> dict[str, str]:
     """Return the regions in an object's TOML, beside its mesh or on the asset path."""
     beside = named_path(name).with_suffix(".toml")
@@ -85,7 +131,7 @@ def _said_regions(name: str) -> dict[str, str]:
     return tables.get("regions", {})
 
 
-def _in_shape(region: str, points: Floats) -> NDArray[np.bool_]:
+def _in_shape(region: str, points: Floats) -> Mask:
     """Return which points (n, 3) [m] are in a region in numbers."""
     kind, _, text = region.partition(":")
     numbers = np.array(numbers_in(text.replace(",", " ")))
@@ -99,7 +145,7 @@ def _in_shape(region: str, points: Floats) -> NDArray[np.bool_]:
     return np.asarray(points[:, 2] >= numbers[0])
 
 
-def _on_mesh(region: Mesh, points: Floats) -> NDArray[np.bool_]:
+def _on_mesh(region: Mesh, points: Floats) -> Mask:
     """Return which points (n, 3) [m] are near the surface of a region, or inside it."""
     from scipy.spatial import KDTree
 

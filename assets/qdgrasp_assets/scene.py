@@ -27,7 +27,7 @@ LATER_FIELDS = {
     NEWER_FORMAT: ("engine",),
     5: ("approach_distance", "resting_poses"),
     6: ("neighbours",),
-    7: ("allowed",),
+    8: ("regions",),
 }
 """Versions for scenes with fields that others leave out, by version."""
 FORMATS = (FORMAT, *LATER_FIELDS)
@@ -216,6 +216,17 @@ class RestingPose(Struct, frozen=True, kw_only=True):
     """Probability that an object that is dropped, turned in any way, comes to rest so."""
 
 
+class Region(Struct, frozen=True, kw_only=True):
+    """A part of an object's surface that a spec names."""
+
+    name: str
+    """Its name or numbers there, or the name of its file without folders."""
+    mask: bytes
+    """Bits of points sampled on the mesh, in the order of `sample_surface` with seed 0: 1 in the region."""
+    is_allowed: bool
+    """True: contacts are in one of these; False: in none."""
+
+
 class Scene(SurfacePoints, frozen=True, kw_only=True):
     """All that a worker needs to evaluate genomes."""
 
@@ -235,8 +246,8 @@ class Scene(SurfacePoints, frozen=True, kw_only=True):
     """Resting poses, in one of which the hand has to come above the table; none: there is no table."""
     neighbours: bytes = b""
     """Convex parts of the fixed bodies around the object, as one OBJ file, CoM frame; empty: none."""
-    allowed: bytes = b""
-    """Bits of points sampled on the mesh that say whether contacts may be there; empty: anywhere."""
+    regions: tuple[Region, ...] = ()
+    """The places that contacts have to be on, or must not be on; none: anywhere."""
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ import pytest
 import trimesh
 
 from qdgrasp_assets.catalog import build_scene
+from qdgrasp_assets.regions import allowed_points, regions_at
 from qdgrasp_assets.scene import pack_scene, unpack_scene
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.spec import run_spec
@@ -22,7 +23,10 @@ def test_surface_points_are_on_the_part_that_is_said(tmp_path, region, key):
     scene = scene_of(**{key: [str(tmp_path / region) if region.endswith("stl") else region]})
     x = scene.surface_points[:, 0] + scene.object.com_in_mesh[0]
     assert 0.026 < x.min() < x.max() if key == "on" else x.min() < x.max() < 0.035
-    assert unpack_scene(pack_scene(scene).payload).allowed == scene.allowed
+    assert unpack_scene(pack_scene(scene).payload).regions == scene.regions
+    points, allowed = allowed_points(scene)
+    known = regions_at(scene, points + scene.object.com_in_mesh)
+    assert [bool(name) for name in known] == (allowed if key == "on" else ~allowed).tolist()
 
 
 @pytest.mark.parametrize("on", ["tap", "box:0,0,0", "above:20", "absent.ply"])

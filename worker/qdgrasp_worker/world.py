@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from qdgrasp_assets.geometry.rotation import Floats, conjugate, multiply, rotate
-from qdgrasp_assets.geometry.surface_points import sample_surface
+from qdgrasp_assets.regions import allowed_points
 from qdgrasp_assets.scene import BORDER, Scene, SceneGripper, Vector
 from qdgrasp_protocol.errors import AssetError
 from qdgrasp_protocol.rows import NO_SYNERGY
@@ -100,9 +100,8 @@ class ContactRegion:
     """The part of a scene's object that contacts may be on, by points sampled on its mesh."""
 
     def __init__(self, scene: Scene) -> None:
-        bits = np.unpackbits(np.frombuffer(scene.allowed, np.uint8)).astype(bool)
-        points, _ = sample_surface(scene.object.mesh, len(bits), seed=0)
-        self._trees = KDTree(points[bits]), KDTree(points[~bits])
+        points, allowed = allowed_points(scene)
+        self._trees = KDTree(points[allowed]), KDTree(points[~allowed])
 
     def holds(self, contacts: Sequence[GraspContact]) -> bool:
         """Return whether all contacts are in the part, and off its border."""
@@ -128,7 +127,7 @@ class GraspWorld(ABC):
 
     def __init__(self, scene: Scene) -> None:
         self._gripper = gripper = scene.gripper
-        self.allowed = ContactRegion(scene) if scene.allowed else None
+        self.allowed = ContactRegion(scene) if scene.regions else None
         """The part of the object that contacts may be on; None: all of it."""
         self.opened = [joint.opened for joint in gripper.joints]
         """The open posture [rad or m]."""

@@ -115,7 +115,7 @@ class ObjectSurface:
         jaw, corners = self._scene.gripper.jaw, self._scene.object.triangles.astype(np.float64)
         opening = 0.0 if jaw is None else jaw.opening
         distances, triangles = last_exits(self.points, -self.normals, corners, opening)
-        if self._scene.allowed:
+        if self._scene.regions:
             ends = self.points - np.nan_to_num(distances)[:, None] * self.normals
             distances[self._tree.query(ends)[0] > NEAR_ALLOWED] = np.nan
         first, second, third = np.moveaxis(corners[triangles], 1, 0)
