@@ -17,7 +17,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from qdgrasp_worker.engines.lift_replay import lifts
+from qdgrasp_worker.engines.lift_replay import replay
 
 METHODS = ("portfolio", "antipodal_rand")
 DEFAULT = METHODS[0]
@@ -64,9 +64,9 @@ def replayed(bundle: Path, most: int, contacts: str) -> dict[str, NDArray[Any]]:
     grasps = dict(np.load(bundle / "grasps.npz", allow_pickle=False))
     is_held = grasps["outcome"] == "held"
     places = np.concatenate([spread(np.flatnonzero(kind), most) for kind in (is_held, ~is_held)])
-    arrays = {name: grasps[name][places] for name in ("pose", "opened", "closed")}
+    arrays = {name: grasps[name][places] for name in ("pose", "way", "opened", "closed")}
     survived = [
-        lifts(model, {name: each[n] for name, each in arrays.items()}, grasps["speeds"])
+        replay(model, {name: each[n] for name, each in arrays.items()}, grasps["speeds"])[0]
         for n in range(len(places))
     ]
     return {"held": is_held[places], "eta": grasps["eta"][places], "survived": np.array(survived, dtype=bool)}

@@ -22,7 +22,7 @@ from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.campaign_folder import open_campaign
 from qdgrasp_tools.export.grasp_reader import ALL_FAILURES, GraspChoice, choose_grasps, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
-from qdgrasp_tools.export.grasp_table import arrow_table, frame_of, load_pandas
+from qdgrasp_tools.export.grasp_table import arrow_table, frame_of
 from qdgrasp_tools.report.run_report import RunSummary, run_summary
 
 SAMPLE_ROWS = 8192  # Grasps that are made into a table of Arrow at once
@@ -215,12 +215,13 @@ class CampaignRuns:
     def to_pandas(self) -> Any:
         """Return the key figures of every run as a `pandas.DataFrame`, a line each, by its name.
 
-        Every journal is counted, which takes a while for thousands of runs. Raises InputError where pandas is
-        not installed.
+        Every journal is counted, which takes a while for thousands of runs. Raises InputError without pandas.
         """
-        pandas = load_pandas()
+        check_packages("to_pandas()", "pandas")
+        import pandas as pd  # takes its time to load
+
         lines = [{name: getattr(run.summary, name) for name in FIGURES} for run in self]
-        return pandas.DataFrame(lines, index=pandas.Index(self.names, name="run"), columns=list(FIGURES))
+        return pd.DataFrame(lines, index=pd.Index(self.names, name="run"), columns=list(FIGURES))
 
 
 def open(path: str | os.PathLike[str]) -> Any:  # noqa: A001  # said as qdgrasp.open

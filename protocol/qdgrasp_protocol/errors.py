@@ -202,8 +202,8 @@ def check_packages(need: str, *packages: str) -> None:
     """
     for package in packages:
         if find_spec(package) is None:
-            extra = next(name for name in EXTRAS if package in EXTRAS[name])
+            wanted = next((f"'qdgrasp[{name}]'" for name in EXTRAS if package in EXTRAS[name]), package)
             raise InputError(
                 f"{need} needs {package}, which is not installed here; install it with "
-                f"`pip install 'qdgrasp[{extra}]'`."
+                f"`pip install {wanted}`."
             )

@@ -5,7 +5,7 @@ is taken: the hand closes to the end where an evaluation would already know that
 """
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 
@@ -27,7 +27,6 @@ from qdgrasp_protocol.replay_messages import (
     SCENE,
     ContactPoint,
     Phase,
-    Pose,
     ReplayAnswer,
     ReplayRequest,
     Snapshot,
@@ -109,9 +108,9 @@ class EpisodeRecorder:
         return Snapshot(
             phase=self._phase,
             step=self._step,
-            root=make_pose(root, turned),
+            root=(*root, *turned),
             joints=dict(joints),
-            object=make_pose(target, turned_target),
+            object=(*target, *turned_target),
             touches=tuple(
                 ContactPoint(
                     link=touch.link,
@@ -125,12 +124,6 @@ class EpisodeRecorder:
                 )
             ),
         )
-
-
-def make_pose(position: Iterable[float], quaternion: Iterable[float]) -> Pose:
-    """The pose of a position [m] and a quaternion xyzw."""
-    (x, y, z), (qx, qy, qz, qw) = position, quaternion
-    return x, y, z, qx, qy, qz, qw
 
 
 def followed(act: Callable[..., None], look: Callable[..., None]) -> Callable[..., None]:

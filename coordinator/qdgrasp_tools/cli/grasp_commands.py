@@ -156,16 +156,10 @@ def export(
             raise InputError("--verify-top scores the grasps of one run; name one, or leave it out.")
         exporter.format_of(name)
         folders = [scored_run(folders[0], limits, top or FINALISTS, verify_top, **keys)]
+    source = folders[0] if is_one else folders
     with progress_messages() as tell:
         written = exporter.export_grasps(
-            folders[0] if is_one else folders,
-            out,
-            name,
-            choice,
-            frame=frame,
-            negatives=negatives,
-            force=force,
-            tell=tell,
+            source, out, name, choice, frame=frame, negatives=negatives, force=force, tell=tell
         )
     echo(written)
 

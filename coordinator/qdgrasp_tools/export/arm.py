@@ -3,19 +3,23 @@
 A grasp is reachable if damped least squares (Buss 2004, "Introduction to inverse kinematics") find joints
 within their limits at the commanded pose, from one of a few starts, and from there at steps back along the
 approach axis. No joint may jump from step to step, and no links of the arm may meet that are apart in the
-middle of its range. pinocchio has the arm's model, its derivatives and its collisions.
+middle of its range, nor a link what is around the object. pinocchio has the arm's model, its derivatives
+and its collisions.
 """
 
+from copy import copy
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from qdgrasp_assets.geometry.mesh import parse_parts
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.urdf import read_urdf
+from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import InputError, UnknownName, check_packages
 from qdgrasp_protocol.text import join_numbers
-from qdgrasp_tools.export.grasp_table import Frame, GraspColumn
+from qdgrasp_tools.export.grasp_table import MESH, Frame, GraspColumn
 
 Pose6 = tuple[float, float, float, float, float, float]
 """x y z [m] and roll pitch yaw [rad] about fixed axes, as in a URDF."""
@@ -40,7 +44,7 @@ class Arm:
         check_packages("--arm", "pinocchio")
         import pinocchio as pin  # takes its time to load
 
-        robot, self._pin, self.frame = read_urdf(urdf), pin, frame
+        robot, self._pin, self.frame, self._urdf = read_urdf(urdf), pin, frame, urdf.name
         ends = sorted(set(robot.links) - {joint.parent for joint in robot.joints})
         flange = flange or (hand if hand in robot.links or len(ends) > 1 else ends[0])
         if flange not in robot.links:
@@ -70,6 +74,32 @@ class Arm:
         self._starts = [pin.normalize(model, start) for start in starts]
         self._solids = self._collision_model(urdf)
         self._known: dict[bytes, Floats] = {}
+
+    def among(self, scene: Scene) -> "Arm":
+        """Return the arm with the neighbours of a scene's object in its way.
+
+        Raises InputError if there are some, and the files of the arm's shapes are missing.
+        """
+        if not scene.neighbours:
+            return self
+        if self._solids is None:
+            raise InputError(
+                f"Whether the arm of {self._urdf} meets what is around '{scene.object.name}' cannot be told: "
+                "the meshes of its links are not where it names them; put them there."
+            )
+        pin, solids, made = self._pin, self._solids[0].copy(), copy(self)
+        shift = np.array(scene.object.com_in_mesh) * (self.frame == MESH)
+        moving = [place for place, link in enumerate(solids.geometryObjects) if link.parentJoint]
+        for part in parse_parts(scene.neighbours.decode()):
+            corners = pin.coal.StdVec_Vec3s()
+            corners.extend([*(part.vertices + shift)])
+            hull = pin.coal.Convex.convexHull(corners, True, "Qt")  # with its triangles
+            body = pin.GeometryObject(f"neighbour {solids.ngeoms}", 0, self._base.inverse(), hull)
+            place = solids.addGeometryObject(body)
+            for link in moving:
+                solids.addCollisionPair(pin.CollisionPair(link, place))
+        made._solids, made._known = (solids, solids.createData()), {}
+        return made
 
     def columns(self, poses: Floats, axis: Floats, distance: float) -> tuple[GraspColumn, ...]:
         """Return whether `way` reaches commanded poses (n, 7), and the joints (n, j) there."""

@@ -123,7 +123,13 @@ def write_bundle(path: Path, grasps: Grasps, about: GraspMetadata) -> None:
     ends = np.array([joint.closed for joint in hand.joints])  # of a jaw; others close until they press
     opened, squeeze = grasps.pregrasp, grasps.postures.squeeze[:, : len(ends)]
     closed = np.broadcast_to(ends, opened.shape) if hand.jaw else squeeze
-    arrays: dict[str, Any] = {"pose": grasps.poses(about.frame), "opened": opened, "closed": closed}
+    poses, begins = grasps.poses(about.frame), grasps.approach_poses(about.frame)
+    arrays: dict[str, Any] = {
+        "pose": poses,
+        "way": (poses - begins)[:, :3],
+        "opened": opened,
+        "closed": closed,
+    }
     _write_npz(path / "grasps.npz", grasps, about, **arrays, speeds=np.array(closing_speeds(grasps.scene)))
 
 

@@ -221,6 +221,7 @@ def choose_grasps(every: Grasps, choice: GraspChoice, failures: int = 0) -> Chos
         known = select_grasps(every, GraspChoice(choice.min_fitness)).verdicts_in(choice.holds_in)
         unknown = int((known < 0).sum())
     every = replace(every, approach=choice.reachability(every.scene, every.spec))
+    choice = replace(choice, arm=choice.arm and choice.arm.among(every.scene))
     found = select_grasps(every, choice)
     least = int(found.fitness.min(initial=least))  # a custom evaluator's grasps may hold with less
     places = np.searchsorted(every.numbers, found.numbers)

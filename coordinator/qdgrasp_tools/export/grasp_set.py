@@ -24,7 +24,7 @@ from qdgrasp_coordinator.metrics.successes import eta_error
 from qdgrasp_coordinator.search.fixed_poses import as_given
 from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import Verdicts
-from qdgrasp_protocol.errors import InputError, UnknownName
+from qdgrasp_protocol.errors import InputError, UnknownName, check_packages
 from qdgrasp_protocol.rows import LIFT, NO_SYNERGY, Outcome, Rows
 from qdgrasp_protocol.spec import ENGINES, RunSpec, engine_names
 from qdgrasp_protocol.text import counted
@@ -41,9 +41,8 @@ from qdgrasp_tools.export.grasp_table import (
     GraspContacts,
     arrow_table,
     change_frame,
-    common_columns,
+    common_values,
     frame_of,
-    load_pandas,
     to_matrices,
     xyz_columns,
 )
@@ -425,15 +424,16 @@ class Grasps:
         The columns are those of `qdgrasp export --format parquet` (docs/formats.md), with poses in the
         object's `frame`. Raises InputError where pandas is not installed, UnknownName for another frame.
         """
-        load_pandas()
+        check_packages("to_pandas()", "pandas")
         return arrow_table(self.all_columns(frame_of(frame))).to_pandas()
 
     def all_columns(self, frame: Frame = MESH) -> dict[str, GraspColumn]:
         """Return what grasps have in common, what was simulated, every value, and contacts."""
         contacts = np.empty(len(self), dtype=object)
         contacts[:] = self.contact_lists(frame)
+        same = common_values(self.spec).items()
         every = (
-            *common_columns(self.spec, len(self)),
+            *(GraspColumn(name, np.full(len(self), value), f"{name} of the run") for name, value in same),
             GraspColumn(POSE_COLUMN, self.rows["base_to_object"], POSE_MEANING),
             *self._columns(frame),
             GraspColumn("contact_points", contacts, CONTACTS_MEANING),

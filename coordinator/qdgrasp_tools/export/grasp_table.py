@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -14,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats, from_frame, multiply, rotate, tangents
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
-from qdgrasp_assets.scene import SceneGripper, SceneObject
+from qdgrasp_assets.scene import RestingPose, SceneGripper, SceneObject
 from qdgrasp_coordinator.search.fixed_poses import FARTHEST
 from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.spec import DEFAULT_ENGINE, ObjectRecord, RunSpec, from_toml
@@ -124,16 +123,11 @@ class SourceRun(Struct, frozen=True, kw_only=True):
         return from_toml(self.spec, self.run)
 
 
-class RestingPoseRecord(Struct, frozen=True, kw_only=True):
-    """A way in which the object rests on a table."""
+class RestingPoseRecord(RestingPose, frozen=True, kw_only=True):
+    """A resting pose in the frame of the poses."""
 
     number: int
     """Its number in `qdgrasp asset resting-poses`."""
-    up: tuple[float, float, float]
-    """Unit vector in the object's frame that points away from the table."""
-    height: float
-    """Component along `up` of the table's points, in the frame of the poses [m]."""
-    probability: float
 
 
 class GraspMetadata(Struct, frozen=True, kw_only=True):
@@ -222,18 +216,6 @@ def asset_name(name: str) -> str:
     return Path(name).stem if Path(name).suffix else name
 
 
-SAME_MEANINGS = {
-    "object": "the object",
-    "gripper": "the hand",
-    "category": "of the object; none: not known",
-    "method": "the search",
-    "seed": "of the search",
-    "protocol": "the evaluation protocol",
-    "engine": "the physics engine",
-}
-"""Columns that have one value for all grasps of a run."""
-
-
 def common_values(spec: RunSpec) -> dict[str, str | int]:
     """Return what all grasps of a run have in common, by the names of columns."""
     about = spec.about or ObjectRecord()
@@ -288,12 +270,6 @@ def xyz_columns(begin: str, vectors: Floats, meaning: str) -> Iterator[GraspColu
         yield GraspColumn(f"{begin}{name}", values, meaning)
 
 
-def common_columns(spec: RunSpec, n: int) -> Iterator[GraspColumn]:
-    """Yield what all of n grasps of a run have in common as columns."""
-    for name, value in common_values(spec).items():
-        yield GraspColumn(name, np.full(n, value), SAME_MEANINGS[name])
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GraspTable:
     """Grasps of a hand on an object as a file has them, n lines; None: the file does not say it."""
@@ -346,16 +322,6 @@ PREGRASP = "pregrasp."  # Prefix of columns of joints before closing; the joint'
 POSE_COLUMN = "base_to_object"
 CONTACTS_MEANING = "contacts after closing: the hand's link, point on the object [m], normal, force [N]"
 POSE_MEANING = "the pose as simulated: x y z [m] qx qy qz qw, centre-of-mass frame"
-
-
-def load_pandas() -> Any:
-    """Return the package pandas; InputError with how to get it where it is not installed."""
-    try:
-        return import_module("pandas")
-    except ImportError:
-        raise InputError(
-            "to_pandas() needs pandas, which is not installed: `pip install pandas` brings it."
-        ) from None
 
 
 def arrow_table(columns: dict[str, GraspColumn], metadata: dict[str, str] | None = None) -> Any:

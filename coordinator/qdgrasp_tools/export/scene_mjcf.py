@@ -7,7 +7,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import ArrayLike
 
-from qdgrasp_assets.geometry.mesh import parse_parts, parts_to_obj
+from qdgrasp_assets.geometry.mesh import Mesh, parse_parts, parts_to_obj
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.geometry.voxels import convex_hulls
 from qdgrasp_assets.grippers.collision_shapes import collision_elements, part_corners
@@ -18,16 +18,20 @@ from qdgrasp_protocol.drives import DAMPING_RATIO, JAW_PRELOAD, DriveGains
 
 OPTIONS = {"timestep": "0.002", "integrator": "implicitfast", "cone": "elliptic", "impratio": "10"}
 OF_HAND, OF_OBJECT = {"contype": "1", "conaffinity": "2"}, {"contype": "2", "conaffinity": "1"}
+OF_NEIGHBOURS = {"contype": "3", "conaffinity": "3"}
 BOUNDS = {"boundmass": "1e-3", "boundinertia": "1e-6"}  # Links without shapes [kg, kg m2]
 
 
 def replay_files(scene: Scene, com: Vector) -> dict[str, bytes]:
     """Return the files that a replay takes, by path; the object's centre of mass is at `com`."""
     robot = scene_robot(scene.gripper).subtree(scene.gripper.base_link)
-    parts = [part.moved(com) for part in parse_parts(scene.object.collision.decode())]
+    parts, around = (
+        [part.moved(com) for part in parse_parts(file.decode())]
+        for file in (scene.object.collision, scene.neighbours)
+    )
     script = resources.files("qdgrasp_worker.engines").joinpath("lift_replay.py")
     return {
-        "scene.xml": scene_mjcf(scene, robot, [part.vertices for part in parts], com),
+        "scene.xml": scene_mjcf(scene, robot, parts, around, com),
         "replay.py": script.read_bytes(),
         "hand/hand.urdf": ET.tostring(robot.element),
         **{f"hand/{name}": content for name, content in scene.gripper.meshes.items()},
@@ -35,8 +39,10 @@ def replay_files(scene: Scene, com: Vector) -> dict[str, bytes]:
     }
 
 
-def scene_mjcf(scene: Scene, robot: Urdf, parts: Iterable[Floats], com: Vector) -> bytes:
-    """Return MJCF of a hand without its carrier, and an object of convex parts, each (v, 3) [m].
+def scene_mjcf(
+    scene: Scene, robot: Urdf, parts: Iterable[Mesh], neighbours: Iterable[Mesh], com: Vector
+) -> bytes:
+    """Return MJCF of a hand without its carrier, and an object between fixed neighbours.
 
     The hand's root link is at the body `mount`, whose place a replay sets. The joint `lift` carries it
     upwards; it is so heavy that fingers and object hardly change the velocity that it is given.
@@ -80,7 +86,8 @@ def scene_mjcf(scene: Scene, robot: Urdf, parts: Iterable[Floats], com: Vector) 
     moments = body.mass / 12 * (squares.sum() - squares)  # of its box
     ET.SubElement(thing, "inertial", pos=_text(com), mass=_text(body.mass), diaginertia=_text(moments))
     friction = {"friction": f"{body.lateral_friction:.9g} 0.005 0.0001", "condim": "6", "priority": "1"}
-    _add_hulls(thing, assets, parts, OF_OBJECT | friction)
+    _add_hulls(thing, assets, (part.vertices for part in parts), OF_OBJECT | friction)
+    _add_hulls(world, assets, (part.vertices for part in neighbours), OF_NEIGHBOURS)
     ET.indent(root)
     return bytes(ET.tostring(root))
 

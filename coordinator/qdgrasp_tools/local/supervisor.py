@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
@@ -114,6 +114,7 @@ One that takes longer is killed, which loses nothing but its time.
 COORDINATOR = "coordinator"
 
 
+@dataclass
 class JobProcesses:
     """The processes of a job, started again when they die.
 
@@ -121,46 +122,38 @@ class JobProcesses:
     that ended with a sentence has decided to; the job then ends with that sentence.
     """
 
-    def __init__(
-        self,
-        processes: ProcessSupervisor,
-        display: ProgressDisplay,
-        job: str,
-        endpoint: str,
-        security_flags: Sequence[str] = (),
-    ) -> None:
-        self.job = job
-        """Its name on the bus."""
-        self.endpoint = endpoint
-        """Address that processes connect to, or the file that it is going to be written to."""
-        self._processes = processes
-        self._display = display
-        self._security_flags = security_flags
-        self._most = -1
-        self._reasons: dict[str, str] = {}  # Of the last errors of processes, since there was progress
-        self.is_done = False
-        """The coordinator ended with its job complete, or after the seconds that it was given."""
+    processes: ProcessSupervisor
+    display: ProgressDisplay
+    job: str
+    """Its name on the bus."""
+    endpoint: str
+    """Address that processes connect to, or the file that it is going to be written to."""
+    security_flags: Sequence[str] = ()
+    is_done: bool = False
+    """The coordinator ended with its job complete, or after the seconds that it was given."""
+    _most: int = -1
+    _reasons: dict[str, str] = field(default_factory=dict)  # Of processes' last errors since progress
 
     def start_recorder(self, out: Path) -> None:
         """Start a recorder that writes to the folder of a job."""
         arguments = ["recorder", *self._connection_flags, "--out", str(out)]
-        self._processes.start("recorder", "qdgrasp_tools.cli.job_processes", lambda: arguments)
+        self.processes.start("recorder", "qdgrasp_tools.cli.job_processes", lambda: arguments)
 
     def start_workers(self, count: int, first: int = 0) -> None:
         """Start workers up to so many from `first` on; they leave before they would be killed."""
-        flags = [*self._connection_flags, "--grace", f"{self._processes.children_grace:g}"]
+        flags = [*self._connection_flags, "--grace", f"{self.processes.children_grace:g}"]
         for number in range(first, count):
-            self._processes.start(f"worker-{number}", "qdgrasp_worker.cli", lambda: flags)
+            self.processes.start(f"worker-{number}", "qdgrasp_worker.cli", lambda: flags)
 
     @property
     def _connection_flags(self) -> list[str]:
-        return ["--connect", self.endpoint, "--job", self.job, *self._security_flags]
+        return ["--connect", self.endpoint, "--job", self.job, *self.security_flags]
 
     def note_progress(self, figures: JobStatus) -> None:
         """Record the job's figures; progress resets the counts of deaths."""
         if figures.evaluations + figures.trials > self._most:
             self._most = figures.evaluations + figures.trials
-            self._processes.note_progress()
+            self.processes.note_progress()
             self._reasons.clear()
 
     def check(self, now: float) -> None:
@@ -170,16 +163,16 @@ class JobProcesses:
         EndedEarly if the coordinator ended by decision or order, or a process dies again and again; an
         InputError too if one failed twice for the same reason, without progress.
         """
-        for death in self._processes.exits():
+        for death in self.processes.exits():
             if death.name == COORDINATOR:
                 self._on_coordinator(death, now)
             elif death.exit_code == 0:
-                self._display.say(f"{death.name} has left")  # a worker that was asked to
+                self.display.say(f"{death.name} has left")  # a worker that was asked to
             elif not self.is_done:
-                if death.exit_code == InputError.exit_code and not self._processes.is_dead(COORDINATOR):
+                if death.exit_code == InputError.exit_code and not self.processes.is_dead(COORDINATOR):
                     raise InputError(death.words or _silence(death))
                 self._restart(death, now)
-        self._processes.restart_due(now)
+        self.processes.restart_due(now)
 
     def _on_coordinator(self, death: ProcessExit, now: float) -> None:
         if death.exit_code == InputError.exit_code:
@@ -197,9 +190,9 @@ class JobProcesses:
             if reason and reason == self._reasons.get(death.name):
                 raise InputError(f"The {death.name} {death.description} twice for the same reason: {reason}")
             self._reasons[death.name] = reason
-        pause = self._processes.restart_later(death, now)
+        pause = self.processes.restart_later(death, now)
         why = f" ({reason.rstrip('.')})" if reason else ""
-        self._display.say(f"{death.name} {death.description}{why}; it is started again in {pause:.1f} s")
+        self.display.say(f"{death.name} {death.description}{why}; it is started again in {pause:.1f} s")
 
 
 def _silence(death: ProcessExit) -> str:
@@ -334,7 +327,7 @@ class LocalSession(JobProcesses):
             figures = service.scheduler.status(now)
             self.note_progress(figures)
             self.check(now)
-            self._display.show(figures)
+            self.display.show(figures)
             on_step()
 
         service.run(step)

@@ -2,14 +2,18 @@
 
 import csv
 import re
+from itertools import product
 from pathlib import Path
+from shutil import copy
 
 import numpy as np
 import pytest
+from msgspec import structs
 from pyarrow import parquet
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
+from qdgrasp_assets.geometry.mesh import hull, parts_to_obj
 from qdgrasp_assets.grippers.urdf import read_urdf
 from qdgrasp_coordinator.storage.run_folder import RunFolder
 from qdgrasp_protocol.errors import InputError
@@ -32,7 +36,7 @@ def matrix(pose: tuple[float, ...]) -> np.ndarray:
 def test_the_hand_is_at_each_pose_and_on_the_way_there_where_an_arm_reaches_it() -> None:
     arm, robot = Arm(PANDA, "mesh", BASE, "palm", "panda_hand", ON_FLANGE), read_urdf(PANDA)
     names = [joint.name for joint in robot.joints if joint.kind == "revolute"]
-    turns = Rotation.random(80, random_state=0)
+    turns = Rotation.random(100, random_state=0)
     poses = np.hstack([-0.1 * turns.apply(AXIS), turns.as_quat()])
     reached = 0
     for pose, joints in zip(poses, arm.columns(poses, AXIS, DISTANCE)[1].values, strict=True):
@@ -50,7 +54,22 @@ def test_the_hand_is_at_each_pose_and_on_the_way_there_where_an_arm_reaches_it()
         off = Rotation.from_matrix(hand[:, :3, :3]).inv() * Rotation.from_matrix(aimed[:, :3, :3])
         assert np.degrees(off.magnitude()).max() < 0.5
         assert np.abs(np.diff(way, axis=0)).max() < 0.5
-    assert reached >= 40
+    assert reached >= 50
+
+
+def test_it_reaches_no_grasp_through_a_neighbour_of_the_object(make_run, tmp_path) -> None:
+    scene, arm = make_run(Outcome.HELD).scene(), Arm(PANDA, "com", BASE, "palm", "panda_hand", ON_FLANGE)
+    turns = Rotation.random(12, random_state=1)
+    poses = np.hstack([-0.1 * turns.apply(AXIS), turns.as_quat()])
+    free = arm.columns(poses, AXIS, DISTANCE)[0].values
+    assert free.sum() > 3
+    plate = np.array([*product((0.0, 0.02), (-2.0, 2.0), (-2.0, 2.0))])
+    for place, reached in ((-0.25, np.zeros(12, bool)), (1.5, free)):  # before the object, and far behind it
+        beside = structs.replace(scene, neighbours=parts_to_obj([hull(plate + np.array([place, 0, 0]))]))
+        assert np.array_equal(arm.among(beside).columns(poses, AXIS, DISTANCE)[0].values, reached)
+    copy(PANDA, tmp_path / "arm.urdf")
+    with pytest.raises(InputError, match="meshes of its links are not where"):
+        Arm(tmp_path / "arm.urdf", "com", BASE, "palm", "panda_hand", ON_FLANGE).among(beside)
 
 
 FLAGS = ("--arm", PANDA, "--base", -0.7, *BASE[1:], "--flange", "panda_hand")

@@ -72,13 +72,13 @@ class BulletWorld(GraspWorld):
             self._target = ObjectBody(self._bullet, scene.object)
             self._bodies = self._hand.body, self._target.body
             self.finger_links = self._hand.finger_links
-            self._prepare(scene.gripper)
+            self._prepare(scene)
             undo.pop_all()
 
-    def _prepare(self, gripper: SceneGripper) -> None:
+    def _prepare(self, scene: Scene) -> None:
         """Couple the joints of a hand with followers; a jaw of two slides is centred by its targets."""
-        bullet, hand, robot = self._bullet, self._hand, scene_robot(gripper)
-        found = couplings(robot, gripper) if followers(robot) else {}
+        bullet, hand, robot = self._bullet, self._hand, scene_robot(scene.gripper)
+        found = couplings(robot, scene.gripper) if followers(robot) else {}
         slides = {joint.name for joint in robot.joints if joint.kind == "prismatic"}
         if len(found) == 1 and found.keys() <= slides:
             found = {}
@@ -130,10 +130,6 @@ class BulletWorld(GraspWorld):
         self._detected_at = self._target.pose
         self._bullet.stepSimulation()
         self.steps += 1
-
-    def is_touching(self) -> bool:
-        """Return whether any link of the hand touches the object."""
-        return bool(self._bullet.getContactPoints(*self._bodies))
 
     def contacts(self) -> list[Contact]:
         """The contacts of the hand's links with the object."""
@@ -212,12 +208,12 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
     def __init__(self, scene: Scene, physics: Physics, table: RestingPose | None = None) -> None:
         self.physics, self.table, self.step_seconds = physics, table, physics.time_step
         self._up = table.up if table else NO_TABLE_UP
-        self._neighbour_parts = scene.neighbours
         super().__init__(scene)
 
-    def _prepare(self, gripper: SceneGripper) -> None:
-        super()._prepare(gripper)
+    def _prepare(self, scene: Scene) -> None:
+        super()._prepare(scene)
         bullet, hand, target, physics = self._bullet, self._hand, self._target, self.physics
+        gripper, parts = scene.gripper, scene.neighbours
         if not self._led:  # coupled fingers go through what they touch in points that do not last
             self._breaking_threshold = physics.breaking_threshold
         bullet.setPhysicsEngineParameter(
@@ -240,10 +236,9 @@ class BulletPhysicalWorld(BulletWorld, PhysicalWorld):
         drives = finger_drives(gripper, joints, reaches, physics.haste)
         for index, joint, drive in zip(hand.fingers, joints, drives, strict=True):
             self._add_inertia(index, drive.inertia, slides=joint.kind == "prismatic")
-        if self.table or self._neighbour_parts:
+        if self.table or parts:
             hand.collide(HAND_GROUP, OBJECT_GROUP | HAND_GROUP | TABLE_GROUP)
             target.collide(OBJECT_GROUP, HAND_GROUP | TABLE_GROUP)
-        parts = self._neighbour_parts
         self._table = load_fixed(bullet) if self.table else None
         self._neighbours = load_fixed(bullet, parts) if parts else None
         still = [0.0] * len(hand.fingers)  # joints move freely, except for the torques of each step

@@ -101,10 +101,6 @@ class MujocoWorld(GraspWorld):
         self._posture = list(posture)
         self._now.data.qpos[self._now.places] = posture
 
-    def is_touching(self) -> bool:
-        """Return whether any link of the hand touches the object."""
-        return bool(self._now.hand_contacts())
-
     def contacts(self) -> list[Contact]:
         """The contacts of the hand's links with the object."""
         return [Contact(link, distance) for _, link, distance in self._now.hand_contacts()]
@@ -191,10 +187,6 @@ class MujocoShakenWorld(MujocoWorld, ShakenWorld):
         data.efc_aref[data.ne : data.ne + self._motors] = (wanted - velocity) / TIME_STEP
         self.free.end_step()
         self.steps += 1
-
-    def is_touching(self) -> bool:
-        """Return whether any link of the hand touches the object; links pass through each other."""
-        return bool(self.free.data.ncon)
 
     def contacts(self) -> list[Contact]:
         """The contacts of the hand's links with the object, up to a distance of 1 mm."""
