@@ -8,10 +8,7 @@ from scipy.spatial.transform import Rotation
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
 from qdgrasp_assets.scene import Scene
 from qdgrasp_tools.export.grasp_reader import scene_original_base
-from qdgrasp_tools.export.grasp_table import (
-    from_matrices,
-    to_matrices,
-)
+from qdgrasp_tools.export.grasp_table import from_matrices, to_matrices
 
 
 @pytest.fixture
