@@ -110,7 +110,7 @@ ELSEWHERE = {
     r".*\bdocker ": "needs Docker and the network; the files have tests of their own (tests/deploy)",
     r"kubectl ": "needs a cluster; the objects have tests of their own (tests/deploy)",
     r"python examples/own_optimiser\.py \S+ tcp/": "needs a router with workers; tests/examples has both",
-    r"python part-bundle/replay\.py": "is run by tests of their own (tests/tools/export)",
+    r"python \S+/replay\.py": "is run by tests of their own (tests/tools/export)",
     r"qdgrasp-monitor\b(?!.*--web)": "draws on a terminal; tests/system has one",
     r"ssh ": "needs another machine",
     r"qdgrasp asset fetch": "fetches gigabytes from the network; it has tests with a server of their own",
