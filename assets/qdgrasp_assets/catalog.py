@@ -45,11 +45,6 @@ class CatalogEntry:
     """Source: "built in", "asset path", "fetched" or "absent"."""
     licence: str
 
-    @property
-    def is_there(self) -> bool:
-        """True if it can be used here."""
-        return self.source != ABSENT
-
 
 def build_scene(spec: RunSpec, tell: Tell = ignore_progress, known: ObjectShape | None = None) -> Scene:
     """Build the scene of a run's spec; the same spec and files give the same bits.
@@ -68,13 +63,9 @@ def build_scene(spec: RunSpec, tell: Tell = ignore_progress, known: ObjectShape 
         engine=spec.engine,
         gripper=hand,
         object=SceneObject(
-            name=facts.name,
-            source=facts.source,
-            licence=facts.licence,
-            mass=facts.mass,
-            lateral_friction=facts.lateral_friction,
             rolling_friction=ROLLING_FRICTION,
             spinning_friction=SPINNING_FRICTION,
+            **{key: getattr(facts, key) for key in ObjectFacts.__dataclass_fields__},
             **{key: getattr(shape, key) for key in BodyGeometry.__struct_fields__},
         ),
         **structs.asdict(shape.surface),
@@ -195,7 +186,7 @@ def find_gripper(name: str) -> Gripper:
 def gripper_path(name: str) -> Path:
     """Return the path of a gripper's TOML file, by its name or path; or raise `UnknownName`."""
     built_in = GRIPPERS / f"{name}.toml"
-    if built_in in _gripper_files():
+    if built_in.parent == GRIPPERS and built_in.is_file():
         return built_in
     path = named_path(name)
     if not _is_file(path):
@@ -231,18 +222,18 @@ def check_object(name: str) -> None:
 
 def gripper_names() -> tuple[str, ...]:
     """Return the names of the grippers whose files are there."""
-    return tuple(listing.name for listing in every_gripper() if listing.is_there)
+    return tuple(each.name for each in every_gripper() if each.source != ABSENT)
 
 
 def object_names() -> tuple[str, ...]:
     """Return the names of the stand-ins, and of the scans that are there."""
-    return tuple(listing.name for listing in every_object() if listing.is_there)
+    return tuple(each.name for each in every_object() if each.source != ABSENT)
 
 
 def every_gripper() -> tuple[CatalogEntry, ...]:
     """Return all grippers that this package knows, also those whose files are absent."""
     found = []
-    for path in _gripper_files():
+    for path in sorted(GRIPPERS.glob("*.toml")):
         file = read_gripper_file(path)
         source = ABSENT if file.find_urdf(path) is None else _gripper_source(path.stem)
         found.append(CatalogEntry(path.stem, source, file.licence))
@@ -253,10 +244,6 @@ def every_object() -> tuple[CatalogEntry, ...]:
     """Return all stand-ins and scans, also absent ones."""
     own = tuple(CatalogEntry(name, "built in", LICENCE) for name in STAND_INS)
     return own + tuple(CatalogEntry(name, ycb.scan_source(name), ycb.LICENCE) for name in ycb.SCAN_NAMES)
-
-
-def _gripper_files() -> tuple[Path, ...]:
-    return tuple(sorted(GRIPPERS.glob("*.toml")))
 
 
 def _gripper_source(name: str) -> str:

@@ -18,11 +18,7 @@ from numpy.typing import NDArray
 from qdgrasp_assets import ycb
 from qdgrasp_assets.asset_paths import cache_folder, named_path, write_whole
 from qdgrasp_assets.code_version import building_code, file_digest
-from qdgrasp_assets.geometry.collision_parts import (
-    FingerClearance,
-    Tell,
-    ignore_progress,
-)
+from qdgrasp_assets.geometry.collision_parts import FingerClearance, Tell, ignore_progress
 from qdgrasp_assets.geometry.mesh import parse_parts, parts_to_obj
 from qdgrasp_assets.geometry.mesh_io import check_file, linked_names
 from qdgrasp_assets.geometry.mesh_repair import MOST_TRIANGLES
@@ -33,7 +29,7 @@ from qdgrasp_assets.scene import BodyGeometry, SurfacePoints, Words, vector
 from qdgrasp_assets.stand_ins import STAND_INS
 from qdgrasp_protocol.build_messages import ShapeTask
 from qdgrasp_protocol.errors import AssetError, MessageError, QdgraspError
-from qdgrasp_protocol.messages import MAX_REASON, unpack_values
+from qdgrasp_protocol.messages import MAX_REASON
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_protocol.text import printable
 
@@ -50,14 +46,6 @@ class ObjectShape(BodyGeometry, frozen=True, kw_only=True, forbid_unknown_fields
 
 MAX_SHAPE = 32 << 20
 """Largest shape [bytes]: 500 000 triangles, the most, have 9 MB."""
-SHAPE_LIMITS = {
-    "max_array_len": 64,
-    "max_map_len": 32,
-    "max_str_len": 4096,
-    "max_bin_len": MAX_SHAPE,
-    "max_ext_len": 0,
-}
-MAX_CONTAINERS = 16
 MAX_POINTS = 1_000_000
 FARTHEST = 10.0  # Greatest coordinate [m]
 LONGEST_NORMAL = 1.001
@@ -73,9 +61,8 @@ def unpack_shape(payload: bytes) -> ObjectShape:
     """Return the shape in bytes from anyone; `MessageError` unless all of it can be used."""
     if len(payload) > MAX_SHAPE:
         raise MessageError(f"{len(payload)} bytes are more than a shape may have ({MAX_SHAPE})")
-    values = unpack_values(payload, MAX_CONTAINERS, SHAPE_LIMITS)
     try:
-        shape = msgspec.convert(values, ObjectShape, builtin_types=(bytes,))
+        shape = msgspec.msgpack.decode(payload, type=ObjectShape)
         _check(shape)
     except ValueError as error:
         raise MessageError(f"not a shape: {printable(str(error), MAX_REASON)}") from None

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.geometry.mesh import Floats, Mesh, hull
 from qdgrasp_assets.geometry.mesh_io import LARGEST_OBJECT, SMALLEST_OBJECT, scale_advice
-from qdgrasp_assets.geometry.proximity import SKEW_DIRECTION, inside_count
+from qdgrasp_assets.geometry.proximity import inside_count
 from qdgrasp_assets.geometry.surface_points import sample_surface
 from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import AssetError
@@ -354,12 +354,11 @@ def _holders(mesh: Mesh, labels: Numbers) -> Numbers:
     largest = order[np.searchsorted(labels[order], np.arange(len(volumes)))]  # triangle of each body
     outward = np.sign(volumes)[:, None] * mesh.normals[largest]  # a hollow is left into the material
     points = mesh.corners[largest].mean(axis=1) + ASIDE * outward
-    directions = np.tile(SKEW_DIRECTION, (len(points), 1))
     holders = np.arange(len(volumes))
-    held = np.flatnonzero(inside_count(mesh, points, directions) > 0)
+    held = np.flatnonzero(inside_count(mesh, points) > 0)
     for body in np.argsort(-volumes)[: (volumes > 0).sum()] if len(held) else ():
         part = Mesh(mesh.vertices, mesh.faces[labels == body])
-        holders[held[inside_count(part, points[held], directions[held]) > 0]] = body
+        holders[held[inside_count(part, points[held]) > 0]] = body
     return holders
 
 

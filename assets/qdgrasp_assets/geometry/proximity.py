@@ -24,16 +24,17 @@ def ray_distance(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.f
     return distances
 
 
-def inside_count(mesh: Mesh, points: Floats, directions: Floats) -> NDArray[np.int64]:
+def inside_count(mesh: Mesh, points: Floats, directions: Floats = SKEW_DIRECTION) -> NDArray[np.int64]:
     """Return the times (n,) that points (n, 3) are inside a closed mesh; 0 outside.
 
-    That is how much more often a ray from each, in unit directions (n, 3), leaves it than enters it; walls
-    nearer to each other than a micrometre count as one.
+    That is how much more often a ray from each, in unit directions (n, 3) or (3,), leaves it than enters it;
+    walls nearer to each other than a micrometre count as one.
     """
     middle = mesh.reference_point
     scene, normals = ray_scene(mesh.corners - middle), mesh.crosses
     found, left = np.zeros(len(points), dtype=np.int64), np.arange(len(points))
-    origins, ways = (points - middle).astype(np.float32), directions.astype(np.float32)
+    origins = (points - middle).astype(np.float32)
+    ways = np.broadcast_to(directions, points.shape).astype(np.float32)
     for _ in range(MOST_HITS):
         hit = scene.run(origins, ways, query="INTERSECT", output=True)
         met = hit["primID"] >= 0
@@ -65,17 +66,12 @@ WALL_POINTS = 10_000  # Points of the surface at which walls are measured
 INWARD = 1e-6  # Offset below the surface at which rays begin, so that they do not meet it again [m]
 
 
-def thin_share(mesh: Mesh) -> float:
-    """Return the share of a closed mesh's surface whose wall is thinner than `THINNEST`."""
-    points, drawn = sample_surface(mesh, WALL_POINTS, seed=0)
-    inward = -mesh.normals[drawn]
-    walls = ray_distance(mesh, points + INWARD * inward, inward)
-    return float((walls < THINNEST).mean())
-
-
 def resolution_notes(mesh: Mesh) -> Iterator[str]:
     """Yield what of a closed mesh is too thin or small for the simulator to resolve."""
-    if (thin := thin_share(mesh)) > MOST_THIN:
+    points, drawn = sample_surface(mesh, WALL_POINTS, seed=0)
+    inward = -mesh.normals[drawn]
+    thin = float((ray_distance(mesh, points + INWARD * inward, inward) < THINNEST).mean())
+    if thin > MOST_THIN:
         yield (
             f"{100 * thin:.0f} % of its surface is of walls thinner than {1000 * THINNEST:g} mm, and the "
             f"simulator meets its parts {1000 * PART_MARGIN:g} mm outside their surface: these walls are met "

@@ -7,6 +7,7 @@ from it: convex parts are what the simulator makes of collision shapes, shapes a
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from functools import cached_property, lru_cache
+from itertools import combinations
 
 import msgspec
 import numpy as np
@@ -120,15 +121,8 @@ def rigid_pieces(element: ET.Element) -> dict[str, str]:
 def neighbours(robot: Urdf) -> set[tuple[str, str]]:
     """Return pairs of links, in order of name, with at most one moving joint between them."""
     heads = rigid_pieces(robot.element)
-    carriers = {robot.root: robot.root}  # the first link of the piece that carries each
-    for joint in robot.joints_beyond(robot.root):
-        carriers.setdefault(heads[joint.child], heads[joint.parent])
-    return {
-        (one, other)
-        for one, head in heads.items()
-        for other, with_head in heads.items()
-        if one < other and (head == with_head or carriers[head] == with_head or carriers[with_head] == head)
-    }
+    joined = {frozenset((heads[joint.parent], heads[joint.child])) for joint in robot.joints}
+    return {pair for pair in combinations(sorted(heads), 2) if frozenset(map(heads.get, pair)) in joined}
 
 
 SAMPLE_POINTS = 1024

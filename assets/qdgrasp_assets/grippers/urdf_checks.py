@@ -114,7 +114,18 @@ HEAVIEST_HAND = 30.0  # Largest mass of a hand [kg]; a heavier one is given in g
 
 def weight_faults(element: ET.Element) -> tuple[str, ...]:
     """Return the faults in the masses of a `<robot>`'s links."""
-    faults = [f"{listed('link', names)} {what}" for names, what in _mass_problems(element) if names]
+    absent, still = _mass_problems(element)
+    faults = []
+    if absent:
+        faults.append(
+            f"{listed('link', absent)} without a mass and an inertia that can be: give both, the mass in kg, "
+            f"{REPAIR_ADVICE}"
+        )
+    if still:
+        faults.append(
+            f"{listed('link', still)} of mass 0, with all that fixed joints add: a joint that carries no "
+            f"mass stands still in the simulator; give it in kg, {REPAIR_ADVICE}"
+        )
     total = sum(mass or 0.0 for mass in _masses(element).values())
     if total > HEAVIEST_HAND:
         faults.append(
@@ -125,28 +136,19 @@ def weight_faults(element: ET.Element) -> tuple[str, ...]:
 
 def unweighed(element: ET.Element) -> frozenset[str]:
     """Return the links of a `<robot>` whose masses are missing or have to be changed."""
-    return frozenset(name for names, _ in _mass_problems(element) for name in names)
+    return frozenset().union(*_mass_problems(element))
 
 
-def _mass_problems(element: ET.Element) -> Iterator[tuple[list[str], str]]:
-    inertials, masses = _inertials(element), _masses(element)
-    # A joint without mass beyond it stands still in Bullet, with any motor; a frame of mass 0 that is fixed
-    # to a link with a mass moves with it.
-    pieces = rigid_pieces(element)
+def _mass_problems(element: ET.Element) -> tuple[list[str], list[str]]:
+    """Return the links without mass or inertia, and those of mass 0 with all fixed to them.
+
+    A joint without mass beyond it stands still in Bullet, with any motor; a frame of mass 0 that is fixed to
+    a link with a mass moves with it.
+    """
+    masses, pieces = _masses(element), rigid_pieces(element)
     heavy = {pieces[name] for name, mass in masses.items() if mass != 0}
-    yield (
-        [
-            name
-            for name, each in inertials.items()
-            if each is None or each.find("inertia") is None or (mass := masses[name]) is None or mass < 0
-        ],
-        f"without a mass and an inertia that can be: give both, the mass in kg, {REPAIR_ADVICE}",
-    )
-    yield (
-        [name for name in masses if pieces[name] not in heavy],
-        "of mass 0, with all that fixed joints add: a joint that carries no mass stands still in the "
-        f"simulator; give it in kg, {REPAIR_ADVICE}",
-    )
+    absent = [name for name, mass in masses.items() if mass is None]
+    return absent, [name for name in masses if pieces[name] not in heavy]
 
 
 def bare_links(element: ET.Element) -> tuple[str, ...]:
@@ -157,17 +159,13 @@ def bare_links(element: ET.Element) -> tuple[str, ...]:
     return tuple(name for name in seen if pieces[name] not in shaped)
 
 
-def _inertials(element: ET.Element) -> dict[str, ET.Element | None]:
-    return {link.get("name", ""): link.find("inertial") for link in element.findall("link")}
-
-
 def _masses(element: ET.Element) -> dict[str, float | None]:
-    """Return the masses of links by name [kg]; None where the file states no number."""
+    """Return the masses of links by name [kg]; None where a mass or an inertia cannot be."""
     masses: dict[str, float | None] = {}
-    for name, inertial in _inertials(element).items():
-        mass = None if inertial is None else inertial.find("mass")
-        values = [] if mass is None else numbers_in(mass.get("value", ""))
-        masses[name] = values[0] if len(values) == 1 else None
+    for link in element.findall("link"):
+        mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
+        values = [] if mass is None or inertia is None else numbers_in(mass.get("value", ""))
+        masses[link.get("name", "")] = values[0] if len(values) == 1 and values[0] >= 0 else None
     return masses
 
 
