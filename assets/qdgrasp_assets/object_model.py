@@ -19,12 +19,7 @@ from qdgrasp_assets.asset_paths import cache_folder, named_path, write_whole
 from qdgrasp_assets.code_version import building_code, file_digest
 from qdgrasp_assets.geometry.collision_parts import collision_parts
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
-from qdgrasp_assets.geometry.mesh_io import (
-    check_file,
-    check_stated,
-    linked_names,
-    read_mesh_file,
-)
+from qdgrasp_assets.geometry.mesh_io import check_file, linked_names, read_mesh_file
 from qdgrasp_assets.geometry.mesh_repair import (
     MOST_TRIANGLES,
     body_gap,
@@ -79,15 +74,14 @@ def read_draft(
     or says another unit than it is read in.
     """
     asked = preparation or AS_IT_IS
-    file, changes = read_mesh_file(path, asked.geometry), asked.remesh or asked.hull or asked.simplify
-    check_stated(str(path), file.unit, scale)
-    mesh = file.mesh if scale is None else file.mesh.scaled(scale)
+    mesh, geometries = read_mesh_file(path, scale, asked.geometry)
+    changes = asked.remesh or asked.hull or asked.simplify
     repairs: tuple[str, ...] = ()
     if asked.largest:
         mesh, words = largest_body(mesh)
         repairs = (words,) if words else ()
     if len(mesh.faces) > MOST_TRIANGLES and not changes:
-        return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh))
+        return ObjectDraft(mesh, geometries, repairs, surface_faults(mesh))
     if not asked.hull:
         fill = partial(fill_small_holes, flat=asked.fill) if asked.fill or asked.remesh else None
         mesh, done = repair_mesh(mesh, fill)
@@ -96,12 +90,12 @@ def read_draft(
         try:
             mesh, done = prepare_mesh(mesh, asked)
         except AssetError as error:
-            return ObjectDraft(mesh, file.geometries, repairs, (str(error),))
+            return ObjectDraft(mesh, geometries, repairs, (str(error),))
         mesh, after = repair_mesh(mesh)
         repairs += (*done, *after)
     if not len(mesh.faces):
         raise AssetError(f"The mesh '{path}' has no triangle with an area; draw it again.")
-    return ObjectDraft(mesh, file.geometries, repairs, surface_faults(mesh))
+    return ObjectDraft(mesh, geometries, repairs, surface_faults(mesh))
 
 
 def solid_draft(

@@ -1,7 +1,8 @@
 """Regions of an object: the places that a hand may touch, and those that it must not.
 
-A region is numbers in the frame of the object's mesh [m], a mesh file in that frame, or a name in the table
-`[regions]` of a TOML file. When a scene is built, they become a bit for each of many points on the surface.
+A region is numbers in the frame of the object's mesh [m], a mesh file in that frame, or a name: in the table
+`[regions]` of a TOML file, or of a part of the object's own file. When a scene is built, they become a bit
+for each of many points on the surface.
 """
 
 import numpy as np
@@ -10,9 +11,15 @@ from numpy.typing import NDArray
 
 from qdgrasp_assets.asset_paths import named_path, on_asset_path, read_table
 from qdgrasp_assets.geometry.mesh import Floats, Mesh
-from qdgrasp_assets.geometry.mesh_io import FORMAT_PACKAGES, READABLE_FORMATS, read_mesh_file
+from qdgrasp_assets.geometry.mesh_io import (
+    FORMAT_PACKAGES,
+    LARGEST_OBJECT,
+    READABLE_FORMATS,
+    named_parts,
+    read_mesh_file,
+)
 from qdgrasp_assets.geometry.mesh_repair import is_surface, point_in_words
-from qdgrasp_assets.geometry.proximity import SKEW_DIRECTION, inside_count
+from qdgrasp_assets.geometry.proximity import inside_count
 from qdgrasp_assets.geometry.surface_points import packed_points, sample_surface
 from qdgrasp_assets.grippers.urdf import numbers_in
 from qdgrasp_assets.scene import BORDER, Region, Scene
@@ -106,9 +113,18 @@ def _mask(name: str, spec: RunSpec, points: Floats) -> Mask:
     if region.partition(":")[0] in SHAPES:
         mask = _in_shape(region, points)
     elif _is_file(region):
-        mask = _on_mesh(read_mesh_file(named_path(region)).mesh.scaled(spec.scale or 1.0), points)
+        mesh = read_mesh_file(named_path(region), spec.scale).mesh
+        if (largest := mesh.extents.max()) > LARGEST_OBJECT:
+            raise AssetError(
+                f"The region '{name}' is {largest:.4g} m large, and objects are smaller than "
+                f"{LARGEST_OBJECT:g} m: save it in the unit of '{spec.object}'."
+            )
+        mask = _on_mesh(mesh, points)
     else:
-        raise UnknownName("region", name, said, HINT)
+        own = named_parts(named_path(spec.object), spec.scale or 1.0) if _is_file(spec.object) else {}
+        if region not in own:
+            raise UnknownName("region", name, {*said, *own}, HINT)
+        mask = _on_mesh(own[region], points)
     if not mask.any():
         low, high = (point_in_words(end) for end in (points.min(axis=0), points.max(axis=0)))
         raise AssetError(
@@ -151,5 +167,5 @@ def _on_mesh(region: Mesh, points: Floats) -> Mask:
 
     mask = KDTree(_samples(region)[0]).query(points)[0] <= BORDER
     if is_surface(region):
-        mask |= inside_count(region, points, np.tile(SKEW_DIRECTION, (len(points), 1))) > 0
+        mask |= inside_count(region, points) > 0
     return np.asarray(mask)

@@ -1,7 +1,7 @@
 """Triangle meshes, and readers of OBJ and binary STL files that need no library.
 
-Of an OBJ file materials, normals and texture are left aside. Its groups are those that the simulator makes
-a hull of each; a material begins none.
+Of an OBJ file materials, normals and texture are left aside. Its parts are the groups that the simulator
+makes a hull of each; a material begins none.
 """
 
 import re
@@ -160,8 +160,16 @@ def read_parts(path: Path) -> tuple[Mesh, ...]:
 @lru_cache(maxsize=32)  # of a hand they are asked for many times
 def parse_parts(text: str) -> tuple[Mesh, ...]:
     """Return the groups of an OBJ text that have triangles, polygons as fans; else `ValueError`."""
+    return tuple(part for _, part in named_groups(text, OBJ_GROUP))
+
+
+def named_groups(text: str, start: re.Pattern[str]) -> Iterator[tuple[dict[str, str], Mesh]]:
+    """Yield the groups of an OBJ text that have triangles, with the last name of each kind.
+
+    A group begins at each line that matches `start`: a kind, as "o", and a name. Errors of `parse_parts`.
+    """
     vertices: list[list[float]] = []
-    groups: list[list[tuple[int, int, int]]] = [[]]
+    groups: list[tuple[dict[str, str], list[tuple[int, int, int]]]] = [({}, [])]
     for line in text.splitlines():
         word, *values = line.split() or [""]
         if word == "v":
@@ -170,16 +178,16 @@ def parse_parts(text: str) -> tuple[Mesh, ...]:
             # a corner such as 7/1/3 begins with its vertex; negative numbers count from the end
             numbers = [int(value.split("/")[0]) for value in values]
             first, *rest = [number - 1 if number > 0 else len(vertices) + number for number in numbers]
-            groups[-1] += ((first, a, b) for a, b in pairwise(rest))
-        elif OBJ_GROUP.match(line):
-            groups.append([])
-    points, parts = np.array(vertices).reshape(-1, 3), []
-    for group in filter(None, groups):
-        used, local = np.unique(group, return_inverse=True)
-        if used[0] < 0 or used[-1] >= len(points):
+            groups[-1][1].extend((first, a, b) for a, b in pairwise(rest))
+        elif start.match(line):
+            groups.append((groups[-1][0] | {word: " ".join(values)}, []))
+    points = np.array(vertices).reshape(-1, 3)
+    for names, group in groups:
+        used, local = np.unique(np.array(group, np.int64), return_inverse=True)
+        if group and (used[0] < 0 or used[-1] >= len(points)):
             raise ValueError("a face names a vertex that is not there")
-        parts.append(Mesh(points[used], local.reshape(-1, 3)))
-    return tuple(parts)
+        if group:
+            yield names, Mesh(points[used], local.reshape(-1, 3))
 
 
 def parts_to_obj(parts: Iterable[Mesh]) -> bytes:

@@ -1,20 +1,21 @@
 """Mesh files of any supported format, and the units of their coordinates.
 
-A file is read as one mesh in its own unit; the scale multiplies its coordinates to metres.
+A file is read as one mesh; the scale multiplies its coordinates to metres.
 """
 
 import io
 import json
+import re
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from qdgrasp_assets.asset_paths import A_FOLDER, path_problem
-from qdgrasp_assets.geometry.mesh import Mesh, unreadable_as
+from qdgrasp_assets.geometry.mesh import Mesh, join, named_groups, unreadable_as
 from qdgrasp_protocol.errors import AssetError, ImpossibleValue, UnknownName, UnreadableHere
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}  # Metres to a unit
@@ -62,20 +63,6 @@ def scale_advice(largest: float) -> str:
     return f"it looks like {looks}: add {flags}"
 
 
-def check_stated(name: str, stated: float | None, scale: float | None) -> None:
-    """Check that the unit a file states is the one it is read in.
-
-    `stated` is metres to a unit as the file says, `scale` as the user says; None: not said. Raises
-    `AssetError` if the file says another unit than metres, and the user says nothing.
-    """
-    if stated is None or scale is not None or abs(stated - 1) < ROUNDING:
-        return
-    raise AssetError(
-        f"The mesh '{name}' says that its unit is {stated:g} m, and meshes are read in metres: add "
-        f"{scale_in_words(stated)}, or --units m if it is wrong about that."
-    )
-
-
 READABLE_FORMATS = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
 """Formats that are read without further packages."""
 FORMAT_PACKAGES = {
@@ -88,22 +75,20 @@ FORMAT_PACKAGES = {
 WRITABLE_FORMATS = (".stl", ".obj", ".ply", ".off", ".glb")  # Formats that are written
 
 
-@dataclass(frozen=True)
-class FileMesh:
+class FileMesh(NamedTuple):
     """Content of a mesh file."""
 
     mesh: Mesh
-    """In the file's unit; each geometry's coincident vertices merged, all geometries joined."""
+    """In metres; each geometry's coincident vertices merged, all geometries joined."""
     geometries: tuple[str, ...]
     """Their names."""
-    unit: float | None
-    """Metres to a unit, if the file states it."""
 
 
-def read_mesh_file(path: Path, geometry: str = "") -> FileMesh:
+def read_mesh_file(path: Path, scale: float | None = None, geometry: str = "") -> FileMesh:
     """Read a mesh file, or one geometry of it.
 
-    Raises `AssetError` if it is not there, no mesh of a known format, or empty, or has no such geometry.
+    `scale` is metres to a unit of the file; None: 1, unless the file says another unit. Raises `AssetError`
+    if it says so, is not there, no mesh of a known format, or empty, or has no such geometry.
     """
     check_file(path)
     scene = _load_scene(path)
@@ -129,10 +114,55 @@ def read_mesh_file(path: Path, geometry: str = "") -> FileMesh:
         )
     from trimesh.units import unit_conversion
 
-    unit = None  # GLB has no other than metres
+    stated = 1.0  # GLB has no other than metres
     with suppress(KeyError, ValueError):
-        unit = float(unit_conversion(scene.units, "meters")) if scene.units else None
-    return FileMesh(mesh, (geometry,) if geometry else names, unit)
+        stated = float(unit_conversion(scene.units, "meters")) if scene.units else 1.0
+    if scale is None and abs(stated - 1) >= ROUNDING:
+        raise AssetError(
+            f"The mesh '{path}' says that its unit is {stated:g} m, and meshes are read in metres: add "
+            f"{scale_in_words(stated)}, or --units m if it is wrong about that."
+        )
+    return FileMesh(mesh if scale is None else mesh.scaled(scale), (geometry,) if geometry else names)
+
+
+OBJ_NAMES = re.compile(r"[ \t]*(o|g|usemtl)[ \t]")
+NAMELESS = "geometry_0"  # Of trimesh, for the mesh of a file that has no names
+MOST_COLOURS = 64  # Colours of a file whose faces are painted to tell parts; a scan has more
+
+
+def named_parts(path: Path, scale: float) -> dict[str, Mesh]:
+    """Return the parts of a mesh file that have names; `scale` is metres to its unit.
+
+    They are groups, objects and materials of an OBJ file, nodes, geometries and materials of others, and
+    faces of a colour as "#ff0000". Errors of `read_mesh_file`.
+    """
+    check_file(path)
+    found: dict[str, list[Mesh]] = {}
+    if path.suffix.lower() == ".obj":
+        with unreadable_as("The mesh '{}' has groups that cannot be read: {}.", path):
+            for kinds, mesh in named_groups(path.read_text("utf-8", "replace"), OBJ_NAMES):
+                for name in {*kinds.values(), *kinds.get("g", "").split()}:
+                    found.setdefault(name, []).append(mesh)
+    else:
+        for name, mesh in _scene_parts(_load_scene(path)):
+            found.setdefault(name, []).append(mesh)
+    return {name: join(meshes).scaled(scale) for name, meshes in found.items()}
+
+
+def _scene_parts(scene: Any) -> Iterator[tuple[str, Mesh]]:
+    """Yield the names in a scene of trimesh, with placed meshes; a node has all below it."""
+    for node in scene.graph.nodes_geometry:
+        frame, geometry = scene.graph[node]
+        found, above = scene.geometry[geometry], [node]
+        while (parent := scene.graph.transforms.parents.get(above[-1])) not in (None, scene.graph.base_frame):
+            above.append(parent)
+        mesh = Mesh(np.asarray(found.vertices) @ frame[:3, :3].T + frame[:3, 3], np.asarray(found.faces))
+        material = getattr(getattr(found.visual, "material", None), "name", None)
+        yield from ((name, mesh) for name in {*above, geometry, material} - {None, NAMELESS})
+        if found.visual.kind in ("face", "vertex"):
+            colours, numbers = np.unique(found.visual.face_colors[:, :3], axis=0, return_inverse=True)
+            for number, colour in enumerate(colours.tolist() if len(colours) <= MOST_COLOURS else ()):
+                yield f"#{bytes(colour).hex()}", Mesh(mesh.vertices, mesh.faces[numbers.ravel() == number])
 
 
 def _load_scene(path: Path) -> Any:
