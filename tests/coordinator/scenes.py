@@ -4,8 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 import trimesh
+from msgspec.structs import replace
 
-from qdgrasp_assets.scene import CarrierJoint, Joint, Scene, SceneGripper, SceneObject
+from qdgrasp_assets.geometry import mesh
+from qdgrasp_assets.geometry.surface_points import sample_surface
+from qdgrasp_assets.scene import CarrierJoint, Joint, Region, Scene, SceneGripper, SceneObject
 
 SceneMaker = Callable[..., Scene]
 
@@ -72,3 +75,11 @@ def made_scene(gripper: str = "jaw", hulls: bytes | None = None) -> Scene:
         object_low=low,
         object_high=high,
     )
+
+
+def restricted_scene() -> Scene:
+    """A scene whose block may be touched above its middle alone, with a wall beside it."""
+    scene, wall = made_scene(), mesh.box((0.02, 0.2, 0.2)).moved((0.2, 0.0, 0.0))
+    points, _ = sample_surface(scene.object.mesh, 1 << 13, seed=0)
+    top = Region(name="top", mask=np.packbits(points[:, 2] > 0).tobytes(), is_allowed=True)
+    return replace(scene, regions=(top,), neighbours=mesh.parts_to_obj([wall]))

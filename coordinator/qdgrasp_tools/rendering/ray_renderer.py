@@ -101,6 +101,10 @@ class RayHits:
     """(m, 3), unit."""
     faces: PixelIndices
     """(m,): the triangles."""
+    corners: PixelIndices
+    """(m, 3): the vertices of these triangles."""
+    weights: Floats
+    """(m, 3): the weights of those vertices, which add up to the points."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +131,10 @@ class RayMesh:
         hit = np.flatnonzero(found["primID"] >= 0)
         faces, depth = found["primID"][hit].astype(np.intp), found["tfar"][hit]
         u, v = found["u"][hit, None], found["v"][hit, None]
-        corners = self.normals[faces]
-        normals = unit_vectors((1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2])
-        return RayHits(pixels[hit], depth, starts[hit] + depth[:, None] * ray, normals, faces)
+        weights = np.column_stack([1 - u - v, u, v])
+        normals = unit_vectors(np.einsum("mk,mkc->mc", weights, self.normals[faces]))
+        points = starts[hit] + depth[:, None] * ray
+        return RayHits(pixels[hit], depth, points, normals, faces, self.mesh.faces[faces], weights)
 
 
 def corner_normals(mesh: Mesh) -> Floats:

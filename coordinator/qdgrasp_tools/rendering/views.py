@@ -12,10 +12,12 @@ import trimesh
 from matplotlib.colors import to_rgb
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, KDTree
+from trimesh.remesh import subdivide
 
-from qdgrasp_assets.geometry.mesh import Mesh, join
+from qdgrasp_assets.geometry.mesh import Mesh, join, parse_parts
 from qdgrasp_assets.grippers.hand_geometry import hand_geometry
+from qdgrasp_assets.regions import allowed_points
 from qdgrasp_assets.scene import Scene, SceneGripper
 from qdgrasp_coordinator.metrics import success_metrics
 from qdgrasp_coordinator.metrics.cells import PER_METRE, cell_keys, cells
@@ -26,6 +28,7 @@ from qdgrasp_tools.rendering.ray_renderer import (
     Floats,
     LayeredImage,
     ParallelCamera,
+    RayHits,
     RayMesh,
     fit_camera,
     shadowed_light,
@@ -45,6 +48,9 @@ def broad_azimuth(scene: Scene) -> float:
 
 ELEVATION = np.radians(26.0)
 CLAY, STEEL = "#f7e6ca", "#a8b3bf"  # Colours of the object, and of links whose touch makes no success
+ALLOWED, FORBIDDEN = "#a0dd7c", "#ecc9b4"  # Colours of an object with regions: where contacts may be, or not
+NEIGHBOUR = "#7d8894"  # Colour of the fixed bodies around it
+LONGEST_EDGE = 0.003  # Of triangles on the border of what may be touched [m]
 FINGER_HUES = (
     "#4477aa", "#ee7733", "#009988", "#cc3311", "#33bbee", "#aa3377", "#c0a020", "#332288", "#6a8f2f",
 )  # fmt: skip
@@ -99,7 +105,7 @@ def view_of_hands(scene: Scene, rows: Rows, azimuth: float, pixels: int) -> Rend
 def _image_of_hands(
     scene: Scene, rows: Rows, azimuth: float, elevation: float, size: tuple[int, int]
 ) -> LayeredImage:
-    body, hand = scene.object.mesh, hand_geometry(scene.gripper)
+    (body, margins), hand = object_surface(scene), hand_geometry(scene.gripper)
     links = [
         (Mesh(vertices, shape.faces), hue, shape.link in hand.gripper.finger_links)
         for hue, pose, posture in zip(
@@ -109,7 +115,8 @@ def _image_of_hands(
     ]
     points = np.concatenate([body.vertices, *(mesh.vertices for mesh, *_ in links)])
     image = LayeredImage(fit_camera(points, azimuth, elevation, size))
-    paint_solid(image, RayMesh(body), rgb(CLAY))
+    paint_solid(image, RayMesh(body), object_colour(scene), margins)
+    paint_neighbours(image, scene)
     for mesh, hue, is_finger in links:
         hits = RayMesh(mesh).cast_from(image.camera)  # fingers nearly solid, the palm like glass
         edge = (1 - np.abs(hits.normals @ image.camera.axes[2])) ** 2
@@ -132,16 +139,19 @@ def view_of_cells(
     other views of the object, are in the image's bounds, and it is cut open where one of these views is.
     """
     places = cells(best["descriptor"][:, :3])
-    body, views = scene.object.mesh, [places, *beside]
+    (body, margins), views = object_surface(scene), [places, *beside]
     points = np.concatenate([body.vertices, *(_cubes(each).vertices for each in views)])
     image = LayeredImage(fit_camera(points, azimuth, ELEVATION, (pixels, pixels)))
     hues = np.array([rgb(colour) for colour in success_metrics.FITNESS_COLOURS])[survival(best)]
     right, _, toward = image.camera.project(places / PER_METRE).T
     kept = (right < 0) | (toward < 0) | (max(map(len, views)) <= CUT_OPEN_CELLS)
     cubes = np.repeat(hues[kept], len(CUBE.faces), axis=0)
-    clay = np.tile(rgb(CLAY), (len(body.faces), 1))
-    solid = join([body, _cubes(places[kept])])
-    paint_solid(image, RayMesh(solid), np.concatenate([clay, cubes]))
+    colours = np.concatenate([np.tile(object_colour(scene), (len(body.faces), 1)), cubes])
+    solid = RayMesh(join([body, _cubes(places[kept])]))
+    paint_solid(
+        image, solid, colours, np.append(margins, np.zeros(len(CUBE.vertices) * kept.sum(), np.float32))
+    )
+    paint_neighbours(image, scene)
     return RenderedView(image.composed(), image.camera, best, bool(kept.all()))
 
 
@@ -152,19 +162,63 @@ def best_in_cells(successes: Rows) -> Rows:
     return ordered[first]
 
 
-def paint_solid(image: LayeredImage, solid: RayMesh, colour: Floats) -> None:
-    """Paint a solid in one colour (3,) or one for each face (f, 3), with its own shadows."""
+def paint_solid(image: LayeredImage, solid: RayMesh, colour: Floats, margins: Floats | None = None) -> None:
+    """Paint a solid in one colour (3,) or one for each face (f, 3), with its own shadows.
+
+    Where `margins` (v,), as of `object_surface`, are below 0 it is `FORBIDDEN`.
+    """
     hits = solid.cast_from(image.camera)
     light = 0.14 + 0.92 * shadowed_light(hits, solid, image.camera) ** 0.7
-    base = colour if colour.ndim == 1 else colour[hits.faces]
-    image.add_solid(hits, np.clip(base * light[:, None], 0, 1))
+    image.add_solid(hits, np.clip(_colours(hits, colour, margins) * light[:, None], 0, 1))
 
 
-def paint_body(image: LayeredImage, body: RayMesh, colour: Floats, *, is_flat: bool = False) -> None:
-    """Paint a solid without shadows; `is_flat`: all in one colour (3,)."""
+def paint_body(image: LayeredImage, body: RayMesh, colour: Floats, margins: Floats | None = None) -> None:
+    """Paint a solid as `paint_solid`, without shadows."""
     hits = body.cast_from(image.camera)
-    light = np.ones(len(hits.pixels)) if is_flat else 0.35 + 0.75 * soft_light(hits.normals, image.camera)
-    image.add_solid(hits, np.clip(colour * light[:, None], 0, 1).astype(np.float32))
+    light = 0.35 + 0.75 * soft_light(hits.normals, image.camera)[:, None]
+    image.add_solid(hits, np.clip(_colours(hits, colour, margins) * light, 0, 1).astype(np.float32))
+
+
+def _colours(hits: RayHits, colour: Floats, margins: Floats | None) -> Floats:
+    colours = np.array(colour[hits.faces] if colour.ndim > 1 else np.broadcast_to(colour, hits.points.shape))
+    if margins is not None:
+        colours[(hits.weights * margins[hits.corners]).sum(axis=1) < 0] = rgb(FORBIDDEN)
+    return colours
+
+
+def object_colour(scene: Scene) -> Floats:
+    """Return the colour of an object, with regions that of the part that contacts may be on."""
+    return rgb(ALLOWED if scene.regions else CLAY)
+
+
+def object_surface(scene: Scene) -> tuple[Mesh, Floats]:
+    """Return an object's mesh, and how far the corners (v,) are inside what may be touched [m].
+
+    Below 0 they are outside; all are 0 without regions. Triangles on a border are split into small ones.
+    """
+    vertices, faces = scene.object.mesh.vertices, scene.object.mesh.faces
+    if not scene.regions:
+        return scene.object.mesh, np.zeros(len(vertices), np.float32)
+    samples, allowed = allowed_points(scene)
+    trees = KDTree(samples[allowed]), KDTree(samples[~allowed])
+    while True:
+        inside, outside = (tree.query(vertices)[0] for tree in trees)
+        margins = np.clip(outside - inside, -1, 1).astype(np.float32)  # infinite if there is no outside
+        corners = vertices[faces]
+        lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+        crossed = (lengths > LONGEST_EDGE) & (np.abs(margins[faces]).max(axis=1) < lengths)
+        if not crossed.any():
+            return Mesh(vertices, faces), margins
+        vertices, faces = subdivide(vertices, faces, crossed)  # type: ignore[no-untyped-call]
+
+
+def paint_neighbours(image: LayeredImage, scene: Scene) -> None:
+    """Paint the fixed bodies around an object like glass."""
+    for part in parse_parts(scene.neighbours.decode()):
+        hits = RayMesh(part).cast_from(image.camera)
+        edge = (1 - np.abs(hits.normals @ image.camera.axes[2])) ** 2
+        light = 0.5 + 0.5 * soft_light(hits.normals, image.camera)[:, None]
+        image.add_translucent(hits, rgb(NEIGHBOUR) * light, 0.18 + 0.3 * edge)
 
 
 def _cubes(places: NDArray[np.integer]) -> Mesh:

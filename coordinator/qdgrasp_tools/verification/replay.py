@@ -44,7 +44,16 @@ from qdgrasp_tools.rendering.ray_renderer import (
     RayMesh,
     fit_camera,
 )
-from qdgrasp_tools.rendering.views import CLAY, FINGER_HUES, STEEL, PaintedMesh, paint_body, rgb
+from qdgrasp_tools.rendering.views import (
+    FINGER_HUES,
+    STEEL,
+    PaintedMesh,
+    object_colour,
+    object_surface,
+    paint_body,
+    paint_neighbours,
+    rgb,
+)
 from qdgrasp_tools.report.run_report import row_at
 from qdgrasp_tools.verification import comparison
 
@@ -176,7 +185,7 @@ def film_snapshots(snapshots: Sequence[Snapshot]) -> list[TimedSnapshot]:
 
 AZIMUTHS, ELEVATIONS = range(0, 360, 20), (12, 30)  # The camera's directions that are tried [deg]
 PREVIEW_SIZE = (160, 120)  # Columns and rows of a picture whose pixels are only counted
-OBJECT_HUE, FINGER_HUE, PALM_HUE = rgb(CLAY), rgb(FINGER_HUES[0]), rgb(STEEL)
+FINGER_HUE, PALM_HUE = rgb(FINGER_HUES[0]), rgb(STEEL)
 
 
 class SnapshotRenderer:
@@ -184,7 +193,8 @@ class SnapshotRenderer:
 
     def __init__(self, scene: Scene) -> None:
         hand, fingers = hand_geometry(scene.gripper), scene.gripper.finger_links
-        self._robot, self._object = hand.whole, scene.object.mesh
+        self._robot, self._scene = hand.whole, scene
+        self._object, self._margins = object_surface(scene)
         self._links = {
             name: (mesh, FINGER_HUE if name in fingers else PALM_HUE)
             for name, mesh in hand.link_meshes.items()
@@ -212,18 +222,23 @@ class SnapshotRenderer:
         def score(view: tuple[int, int]) -> float:
             image = LayeredImage(self.fit([still], view, PREVIEW_SIZE))
             for body, hue in bodies:
-                paint_body(image, body, hue, is_flat=True)
-            counts = [(image.colour == hue).all(axis=1).sum() for hue in (FINGER_HUE, OBJECT_HUE)]
+                hits = body.cast_from(image.camera)
+                image.add_solid(hits, np.broadcast_to(hue, hits.points.shape))
+            counts = [(image.colour == hue).all(axis=1).sum() for hue in (FINGER_HUE, bodies[-1][1])]
             return float(counts[0]) * float(counts[1])
 
         azimuth, elevation = max(product(AZIMUTHS, ELEVATIONS), key=score)
         return float(azimuth), float(elevation)
 
     def draw(self, snapshot: Snapshot, camera: ParallelCamera) -> Image.Image:
-        """Draw a snapshot."""
+        """Draw a snapshot, with neighbours until the grasp is disturbed: then they are taken away."""
         image = LayeredImage(camera)
-        for mesh, hue in self._placed(snapshot):
-            paint_body(image, RayMesh(mesh), hue)
+        *hand, (target, hue) = self._placed(snapshot)
+        for mesh, link_hue in hand:
+            paint_body(image, RayMesh(mesh), link_hue)
+        paint_body(image, RayMesh(target), hue, self._margins)
+        if snapshot.phase in CLOSING:
+            paint_neighbours(image, self._scene)
         return Image.fromarray(np.rint(255 * image.composed()).astype(np.uint8))
 
     def _placed(self, snapshot: Snapshot) -> list[PaintedMesh]:
@@ -233,7 +248,7 @@ class SnapshotRenderer:
         bodies = [(mesh, frames[link], hue) for link, (mesh, hue) in self._links.items()]
         return [
             (Mesh(mesh.vertices @ frame[:3, :3].T + frame[:3, 3], mesh.faces), hue)
-            for mesh, frame, hue in [*bodies, (self._object, target, OBJECT_HUE)]
+            for mesh, frame, hue in [*bodies, (self._object, target, object_colour(self._scene))]
         ]
 
 

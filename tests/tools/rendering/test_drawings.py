@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from docs.demo import draw_grasps
 from scipy.spatial.transform import Rotation
-from tests.coordinator.scenes import made_scene
+from tests.coordinator.scenes import made_scene, restricted_scene
 
 from qdgrasp_assets.catalog import find_gripper
 from qdgrasp_assets.stand_ins import stand_in
@@ -60,6 +60,17 @@ def test_hands_are_drawn_in_their_settled_poses() -> None:
     rows["base_to_object"][:, 6] = 1  # all inside the object
     settled, commanded = (view_of_hands(made_scene(), found, 0.0, SMALL).image for found in (rows, plain))
     assert np.array_equal(settled, commanded)
+
+
+def test_an_object_is_tinted_where_it_may_be_touched_and_seen_through_what_is_around_it() -> None:
+    plain, image = (
+        view_of_hands(scene, rows_of([]), 0.0, SMALL).image for scene in (made_scene(), restricted_scene())
+    )
+    tint = image[..., 1] - image[..., 0]  # green is what may be touched, the rest is reddish, neighbours grey
+    may, may_not = (np.nonzero(one)[0] for one in (tint > 0.03, tint < -0.03))
+    assert min(len(may), len(may_not)) > 100
+    assert np.median(may) < np.median(may_not)  # rows count downward
+    assert share_drawn(image) > 1.2 * share_drawn(plain)
 
 
 def shell(step: int) -> Rows:

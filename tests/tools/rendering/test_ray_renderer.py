@@ -80,7 +80,7 @@ VIEW = fit_camera(plate(0.0).vertices, 0.0, 0.5, (30, 30))
 def upward(solid: RayMesh, view: ParallelCamera) -> RayHits:
     return RayHits(
         np.array([0]), np.zeros(1, np.float32), np.array([[0, 0, 0.001]], np.float32),
-        np.array([[0, 0, 1]], np.float32), np.array([0]),
+        np.array([[0, 0, 1]], np.float32), np.array([0]), np.zeros((1, 3), int), np.ones((1, 3)),
     )  # fmt: skip
 
 
@@ -107,7 +107,15 @@ RED, BLUE = np.array([[1.0, 0, 0]], np.float32), np.array([[0, 0, 1.0]], np.floa
 def everywhere(depth: float) -> RayHits:
     points = RAYS_PER_PIXEL * RAYS_PER_PIXEL
     none = np.zeros((points, 3), np.float32)
-    return RayHits(np.arange(points), np.full(points, depth, np.float32), none, none, np.zeros(points, int))
+    return RayHits(
+        np.arange(points),
+        np.full(points, depth, np.float32),
+        none,
+        none,
+        np.zeros(points, int),
+        none.astype(int),
+        none,
+    )
 
 
 def spread(colour: np.ndarray) -> np.ndarray:

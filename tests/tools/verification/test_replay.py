@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.coordinator.recorded_runs import record
-from tests.coordinator.scenes import made_scene
+from tests.coordinator.scenes import made_scene, restricted_scene
 from tests.tools.report.test_run_report import PRIOR, run_of
 
 from qdgrasp_assets.genes import layout
@@ -131,3 +131,10 @@ def test_a_camera_sees_all_of_a_film_but_not_an_object_that_fell() -> None:
     column, row = project_point(with_apart, np.array([0.3, 0.05, 0.06]))
     red, _, blue = drawn[round(row) - 20 : round(row) + 20, round(column) - 20 : round(column) + 20].T
     assert (blue > red + 40).any()  # a finger
+
+
+def test_neighbours_are_there_until_the_grasp_is_disturbed() -> None:
+    painter, closed = SnapshotRenderer(restricted_scene()), shot()
+    camera = painter.fit([closed], (60.0, 20.0), SIZE)
+    before, after = (np.asarray(painter.draw(shot(phase), camera)) for phase in ("settling", "shake z"))
+    assert (before.min(axis=2) < 250).sum() > 1.2 * (after.min(axis=2) < 250).sum()

@@ -11,11 +11,12 @@ from base64 import b64encode
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation, Slerp
 from trimesh import Trimesh
 from trimesh.graph import smooth_shade
 
-from qdgrasp_assets.geometry.mesh import Mesh
+from qdgrasp_assets.geometry.mesh import Mesh, join, parse_parts
 from qdgrasp_assets.geometry.rotation import Floats
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry
 from qdgrasp_assets.scene import Scene
@@ -24,6 +25,7 @@ from qdgrasp_coordinator.metrics.cells import PER_METRE, cells
 from qdgrasp_coordinator.metrics.grasp_quality import object_motion, settled_mask, settled_poses
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.rows import Outcome, trial_count
+from qdgrasp_tools.rendering.views import object_surface
 from qdgrasp_tools.report.run_report import row_contacts
 
 SHARP = np.radians(45)  # faces that meet at a sharper angle are drawn with an edge
@@ -33,10 +35,12 @@ SUCCESS_KINDS = (Outcome.DROPPED, Outcome.SHAKEN, Outcome.HELD)
 
 def browser_scene(scene: Scene, hand: HandGeometry) -> dict[str, object]:
     """Return everything in the view of a scene before the first success; `hand` is the scene's."""
-    colours = success_metrics.FITNESS_COLOURS
+    colours, around = success_metrics.FITNESS_COLOURS, parse_parts(scene.neighbours.decode())
+    surface, margins = object_surface(scene)
     return {
         "gripper": scene.gripper.name,
         "object": scene.object.name,
+        "base": scene.gripper.base_link,  # the hand's root link, which poses are of
         "com_in_mesh": scene.object.com_in_mesh,  # centre of mass in the mesh file's frame [m]; the same axes
         "synergies": [synergy.name for synergy in scene.gripper.synergies],
         "scored": trial_count(scene.protocol) > 0,  # successes have trials, and thus an eta
@@ -48,7 +52,8 @@ def browser_scene(scene: Scene, hand: HandGeometry) -> dict[str, object]:
             {"outcome": int(kind), "words": _words(kind), "colour": colours[kind - Outcome.DROPPED]}
             for kind in SUCCESS_KINDS
         ],
-        "mesh": _triangles(scene.object.mesh),
+        "mesh": _triangles(surface, margins if scene.regions else None),
+        "neighbours": _triangles(join(around)) if around else None,  # the fixed bodies around it
         "links": [  # of the hand; `finger`: its contact makes a success
             {"name": name, "finger": name in hand.gripper.finger_links, "mesh": _triangles(mesh)}
             for name, mesh in hand.link_meshes.items()
@@ -132,13 +137,16 @@ def _words(kind: Outcome) -> str:
     return success_metrics.FITNESS_WORDS[kind - Outcome.DROPPED]
 
 
-def _triangles(mesh: Mesh) -> dict[str, str]:
+def _triangles(mesh: Mesh, margins: NDArray[np.float32] | None = None) -> dict[str, str]:
     """Return a mesh whose faces share a vertex only where they meet at no sharp angle.
 
-    In base64: positions (v, 3) as float32, and indices (f, 3) as uint32, counter-clockwise from outside.
+    In base64: positions (v, 3) as float32, and indices (f, 3) as uint32, counter-clockwise from outside; if
+    given, margins of its vertices (v,) as float32.
     """
     smooth = smooth_shade(Trimesh(mesh.vertices, mesh.faces), SHARP, facet_minarea=None)
     columns = {"positions": smooth.vertices.astype("<f4"), "indices": smooth.faces.astype("<u4")}
+    if margins is not None:
+        columns["margins"] = margins[KDTree(mesh.vertices).query(smooth.vertices)[1]]
     return {name: b64encode(column.tobytes()).decode() for name, column in columns.items()}
 
 

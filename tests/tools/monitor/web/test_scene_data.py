@@ -9,6 +9,7 @@ import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from tests.coordinator.scenes import restricted_scene
 from tests.tools.monitor.web.conftest import finds, random_finds
 
 from qdgrasp_assets.grippers.hand_geometry import HandGeometry, hand_geometry
@@ -44,6 +45,16 @@ def test_the_object_stands_in_its_centre_of_mass_frame(make_scene, drawn: HandGe
     )
     assert np.allclose(corners.min(axis=(0, 1)), stands["low"], atol=1e-6)
     assert np.allclose(corners.max(axis=(0, 1)), stands["high"], atol=1e-6)
+
+
+def test_what_may_be_touched_has_margins_above_0_and_neighbours_are_there(drawn: HandGeometry) -> None:
+    shown: Any = browser_scene(restricted_scene(), drawn)
+    heights = np.frombuffer(b64decode(shown["mesh"]["positions"]), "<f4").reshape(-1, 3)[:, 2]
+    margins = np.frombuffer(b64decode(shown["mesh"]["margins"]), "<f4")
+    clear = np.abs(heights) > 1e-3
+    assert clear.sum() > 100
+    assert ((margins > 0) == (heights > 0))[clear].all()
+    assert corners_of(shown["neighbours"])[..., 0].min() == pytest.approx(0.19)
 
 
 def test_a_grasp_says_all_that_is_known_of_it(make_scene, drawn: HandGeometry) -> None:

@@ -5,6 +5,12 @@ import { count } from "../format.js";
 import { keepFilters } from "../job_state.js";
 import { ANY } from "./cells.js";
 
+const PARTS = [
+  { name: "allowed", words: "may be touched", isThere: ({ mesh }) => mesh.margins },
+  { name: "forbidden", words: "may not", isThere: ({ mesh }) => mesh.margins },
+  { name: "neighbour", words: "neighbours", isThere: ({ neighbours }) => neighbours },
+];
+
 /** The legend of cells: how many show each kind of grasp, which kinds are shown, and the buttons of the view. */
 export class Legend {
   #view = null;
@@ -16,13 +22,15 @@ export class Legend {
     this.steps = element("div", { class: "steps", hidden: true },
       this.#button("‹", "Previous grasp (P)", (view) => view.step(-1)), this.#button("›", "Next grasp (N)", (view) => view.step(1)),
       this.#button("Whole", "See everything again (Home)", (view) => view.home()), this.cut, this.frames);
-    node.replaceChildren(this.kinds, this.steps);
+    this.parts = element("ul", { class: "parts", "aria-label": "Colours of the object and of what is around it" });
+    node.replaceChildren(this.kinds, this.parts, this.steps);
   }
 
   /** Control this view; null: none. */
   connect(view) {
     this.#view = view;
     this.kinds.replaceChildren();
+    this.parts.replaceChildren();
     this.steps.hidden = true;
   }
 
@@ -37,12 +45,12 @@ export class Legend {
       setAttribute(item.firstChild, "aria-pressed", String(shown));
       setText(item.querySelector("b"), shown ? count(number) : "–");
     });
+    const parts = PARTS.filter(({ isThere }) => isThere(description));
+    updateChildren(this.parts, parts, ({ name }) => name, ({ name, words }) => element("li", {}, swatch(`var(--scene-${name})`), ` ${words}`), () => {});
   }
 
   #made({ colour, words }) {
-    const swatch = element("i", { class: "swatch" });
-    swatch.style.background = colour;
-    const button = element("button", { type: "button" }, swatch, element("b"), ` ${words}`);
+    const button = element("button", { type: "button" }, swatch(colour), element("b"), ` ${words}`);
     button.addEventListener("click", () => this.#toggle([...this.kinds.children].indexOf(button.parentNode)));
     return element("li", {}, button);
   }
@@ -57,6 +65,12 @@ export class Legend {
     button.addEventListener("click", () => this.#view && action(this.#view));
     return button;
   }
+}
+
+function swatch(colour) {
+  const node = element("i", { class: "swatch" });
+  node.style.background = colour;
+  return node;
 }
 
 const AXES = ["x", "y", "z"];

@@ -8,33 +8,37 @@ import {
 const MESH_VERTEX = `
 in vec3 position;
 in vec3 normal;
+in float margin;
 uniform mat4 modelViewMatrix, projectionMatrix;
 uniform mat3 normalMatrix;
 out vec3 n;
+out float inside;
 void main() {
   n = normalMatrix * normal;
+  inside = margin;
   gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
 }`;
 const MESH_FRAGMENT = `
 precision highp float;
-uniform vec3 colour;
+uniform vec3 colour, forbidden;
 uniform float solidity;
 in vec3 n;
+in float inside;
 out vec4 painted;
 void main() {
   vec3 m = normalize(gl_FrontFacing ? n : -n);
   float light = 0.5 + 0.5 * max(dot(m, vec3(-0.4, 0.62, 0.68)), 0.0) + 0.1 * m.y;
   float edge = pow(1.0 - abs(m.z), 2.0);
   float alpha = mix(solidity, 1.0, edge * (1.0 - solidity) * 0.8);
-  painted = vec4(colour * light * alpha, alpha);
+  painted = vec4((inside < 0.0 ? forbidden : colour) * light * alpha, alpha);
 }`;
 
-/** A material in a colour; `solidity` below 1 makes it glass whose edges show. */
-export function meshMaterial(colour, solidity = 1) {
+/** A material in a colour, where a mesh has margins below 0 in another one; `solidity` below 1 makes it glass whose edges show. */
+export function meshMaterial(colour, solidity = 1, forbidden = colour) {
   const glass = solidity < 1;
   return new RawShaderMaterial({
     glslVersion: GLSL3,
-    uniforms: { colour: { value: drawnColour(colour) }, solidity: { value: solidity } },
+    uniforms: { colour: { value: drawnColour(colour) }, forbidden: { value: drawnColour(forbidden) }, solidity: { value: solidity } },
     vertexShader: MESH_VERTEX,
     fragmentShader: MESH_FRAGMENT,
     transparent: glass,
@@ -50,9 +54,10 @@ export function drawnColour(colour) {
 }
 
 /** The geometry of a mesh as the server sends it: faces that meet at a sharp angle share no vertices. */
-export function meshGeometry({ positions, indices }) {
+export function meshGeometry({ positions, indices, margins }) {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(new Float32Array(bytes(positions)), 3));
+  if (margins) geometry.setAttribute("margin", new BufferAttribute(new Float32Array(bytes(margins)), 1));
   geometry.setIndex(new BufferAttribute(new Uint32Array(bytes(indices)), 1));
   geometry.computeVertexNormals();
   return geometry;

@@ -1,7 +1,7 @@
 // The view in 3D: the object, a voxel for each cell in which a run has grasped it, and the hand in the
 // selected grasp.
 
-import { Mesh, Vector3 } from "../vendor/three/three.module.min.js";
+import { BufferGeometry, Mesh, Vector3 } from "../vendor/three/three.module.min.js";
 import { darkMode } from "../dom.js";
 import { count, several } from "../format.js";
 import { Cells } from "./cells.js";
@@ -14,7 +14,8 @@ import { CELL, Voxels } from "./voxels.js";
 const RETRY = 5000; // ms until a scene that could not be loaded is asked for again
 const CUT_OPEN = 600; // cells: from this number on the view is cut open at first
 const GROWN = 1.1; // cells so much farther out make the view zoom out, until it was turned by hand
-const COLOURS = { object: "#f7e6ca", hand: "#009e8c", mark: "#22262b", paper: "#ffffff" };
+const COLOURS = { object: "#f7e6ca", allowed: "#a0dd7c", forbidden: "#ecc9b4", neighbour: "#7d8894", hand: "#009e8c", mark: "#22262b", paper: "#ffffff" };
+const GLASS = 0.2; // solidity of neighbours
 
 export class SceneView {
   /** Called with the server's description of the selected grasp; null: none is selected. */
@@ -252,7 +253,10 @@ class SceneObjects {
   constructor(description, colour) {
     this.description = description;
     this.cells = new Cells(description.kinds);
-    this.body = new Mesh(meshGeometry(description.mesh), meshMaterial(colour("object")));
+    this.surface = description.mesh.margins ? "allowed" : "object";
+    this.body = new Mesh(meshGeometry(description.mesh), meshMaterial(colour(this.surface), 1, colour("forbidden")));
+    this.around = new Mesh(description.neighbours ? meshGeometry(description.neighbours) : new BufferGeometry(), meshMaterial(colour("neighbour"), GLASS));
+    this.around.renderOrder = 3;
     this.hand = new HandMesh(description.links, colour("hand"));
     this.mark = new BoxEdges(colour("mark"));
     this.box = new BoxEdges(colour("mark"));
@@ -260,17 +264,19 @@ class SceneObjects {
   }
 
   addTo(scene) {
-    scene.add(this.body, this.voxels, this.hand, this.mark, this.box);
+    scene.add(this.body, this.around, this.voxels, this.hand, this.mark, this.box);
   }
 
   removeFrom(scene) {
     scene.clear();
-    this.body.material.dispose();
-    for (const part of [this.body.geometry, this.voxels, this.hand, this.mark, this.box]) part.dispose();
+    for (const { material, geometry } of [this.body, this.around]) [material, geometry].forEach((part) => part.dispose());
+    for (const part of [this.voxels, this.hand, this.mark, this.box]) part.dispose();
   }
 
   recolour(colour) {
-    this.body.material.uniforms.colour.value = drawnColour(colour("object"));
+    for (const [name, value] of Object.entries({ colour: this.surface, forbidden: "forbidden" }))
+      this.body.material.uniforms[name].value = drawnColour(colour(value));
+    this.around.material.uniforms.colour.value = drawnColour(colour("neighbour"));
     this.hand.recolour(colour("hand"));
     this.mark.recolour(colour("mark"));
     this.box.recolour(colour("mark"));
