@@ -15,6 +15,10 @@ WITHOUT_BULLET := tests/protocol tests/worker/engines tests/coordinator/storage 
 QUICK := tests/protocol tests/coordinator/scheduler tests/coordinator/storage tests/coordinator/recorder \
   tests/tools/local tests/tools/security tests/worker/test_decoder.py tests/worker/test_priors.py tests/test_repository.py
 
+# Processes that test share the processors: threads of numpy in each would wait for those of the others.
+test test-quick test-mujoco test-slow test-docs: export OMP_NUM_THREADS := 1
+test test-quick test-mujoco test-slow test-docs: export OPENBLAS_NUM_THREADS := 1
+
 .PHONY: help demo test test-quick test-mujoco test-slow test-docs test-gpu check docs fuzz chaos simulate bench grasp-bench lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo, ENGINE=mujoco)"
