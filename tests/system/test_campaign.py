@@ -19,17 +19,17 @@ from qdgrasp_coordinator.storage.job_folder import JobFolder
 SMALL = """
 [defaults]
 gripper = "panda"
-evaluations = 80
-population = 40
+evaluations = 40
+population = 20
 [[cross]]
 object = "tennis_ball"
 method = ["contact_rand", "contact_me_scs"]
 [[cross]]
 object = "rubiks_cube"
-evaluations = 160
+evaluations = 80
 """
 RUNS = {
-    "panda-tennis_ball-contact_rand-s0-population40": ("--method", "contact_rand", "--evaluations", 80),
+    "panda-tennis_ball-contact_rand-s0-population20": ("--method", "contact_rand", "--evaluations", 40),
 }
 
 
@@ -53,14 +53,14 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Commands:
     """An undisturbed campaign in `out`, which tests leave as it is."""
     commands = Commands(tmp_path_factory.mktemp("campaign"))
     ended = commands.succeed("campaign", write(commands.home), "--workers", 2, "--out", "out")
-    assert {"runs done        3", "evaluations      320"} <= set(ended.out.splitlines())
+    assert {"runs done        3", "evaluations      160"} <= set(ended.out.splitlines())
     return commands
 
 
 @pytest.mark.parametrize("name", RUNS)
 def test_each_run_of_a_campaign_is_the_run_that_it_is_alone(qdgrasp, done, name):
     scene = ("--gripper", "panda", "--object", name.split("-")[1], "--protocol", "paper")
-    flags = (*scene, "--set", "population=40", *RUNS[name])
+    flags = (*scene, "--set", "population=20", *RUNS[name])
     qdgrasp.succeed("run", *flags, "--workers", 1, "--out", "alone")
     assert digest_of(qdgrasp.home / "alone") == digests(done)[name]
 
@@ -98,7 +98,7 @@ def start(qdgrasp: Commands, rows: int) -> subprocess.Popen[str]:
 
 @pytest.mark.slow
 def test_a_killed_coordinator_is_started_again_and_the_campaign_ends_as_undisturbed(qdgrasp, done):
-    process = start(qdgrasp, 150)
+    process = start(qdgrasp, 60)
     kill(pids(process, "coordinator")[0])
     _, err = end_of(process)
     assert "was killed by SIGKILL" in err

@@ -83,13 +83,12 @@ def test_what_a_worker_got_recorded_wrong_is_taken_back_and_made_again(qdgrasp, 
         for start in range(0, n, 50):
             by = tuple(makers[start : start + 50].tolist())
             journal.append(JournalSlice(start, rows[start : start + 50], makers=by), 1, 0.0, old.platform)
-    done = qdgrasp("verify", made.path, "--sample", 100, "--fix", "--workers", 2)
+    done = qdgrasp("verify", made.path, "--sample", 100, "--fix", "--workers", 1)
     assert done.code == 1
     left = int(np.flatnonzero(lies)[0]) // 50 * 50
     assert f"{n - left} rows of {made.path} are taken back" in done.out
-    assert qdgrasp("resume", made.path, "--workers", 2).code == 0
+    assert qdgrasp("resume", made.path, "--workers", 1).code == 0
     assert qdgrasp.digest(made.path) == reference[1]
-    qdgrasp.succeed("verify", made.path, "--all", "--workers", 2)
 
 
 @pytest.mark.slow

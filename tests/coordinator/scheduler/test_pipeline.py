@@ -76,7 +76,7 @@ def test_the_journal_is_the_same_whatever_the_order_of_arrival(plan: Plan) -> No
 def test_any_recorded_beginning_goes_on_to_the_same_journal(plan: Plan) -> None:
     """Also where it was recorded with a smaller budget: that journal is a beginning of this one."""
     expected = rows_in(reference(plan))
-    for n in range(len(expected) + 1):
+    for n in range(plan.seed % 3, len(expected) + 1, 3):
         pipeline = plan.pipeline()
         pipeline.replay(expected[: n // 2])
         pipeline.replay(expected[n // 2 : n])

@@ -51,7 +51,7 @@ def test_what_was_repaired_is_said_and_written(check):
 
 
 def test_an_object_is_drawn_also_where_it_is_open(check):
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.03)
     trimesh.Trimesh(ball.vertices, ball.faces[1:], process=False).export("part.ply")
     assert "drawn: pictures/part.png" in check("part.ply", "--picture", "pictures").stdout
     assert Path("pictures/part.png").read_bytes()[:4] == b"\x89PNG"

@@ -36,8 +36,6 @@ CASES = {
     "spherical": ("spherical", lambda make: make("panda", "tennis_ball", "paper")),
     "physical": ("approach", lambda make: many_ways(make("panda", "rubiks_cube", "physical"))),
 }
-MANY = {"synergies": (160, 16), "spherical": (160, 16), "physical": (160, 64)}
-"""Number of genomes, and of those from near by, where that is not 320 and 32."""
 
 
 def spherical(scene: Scene, genomes: Genomes) -> Genomes:
@@ -57,9 +55,8 @@ def case(request, make_scene):
     """A scene, a prior and genomes of it."""
     prior, scene = CASES[request.param][0], CASES[request.param][1](make_scene)
     if prior == "antipodal":
-        return scene, prior, draw(320, 4, seed=3)
-    n, near = MANY.get(request.param, (320, 32))
-    genomes = draw(n, len(layout(scene, "approach")), seed=3, near=near)
+        return scene, prior, draw(160, 4, seed=3)
+    genomes = draw(160, len(layout(scene, "approach")), seed=3, near=16)
     return scene, prior, spherical(scene, genomes) if prior == "spherical" else genomes
 
 
