@@ -21,7 +21,7 @@ from qdgrasp_tools.export.arm import Arm
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run, select_grasps
 from qdgrasp_tools.export.grasp_table import to_matrices
 from qdgrasp_tools.rendering.ray_renderer import LayeredImage, RayMesh, fit_camera
-from qdgrasp_tools.rendering.views import CLAY, STEEL, paint_body, rgb
+from qdgrasp_tools.rendering.views import CLAY, STEEL, paint_solid, rgb
 
 PANDA = Path(pybullet_data.getDataPath(), "franka_panda", "panda.urdf")
 VIEW, SIZE = np.radians((-60.0, 20.0)), (720, 560)  # Azimuth and elevation; columns and rows
@@ -49,7 +49,7 @@ def main(out: Path, run: Path, *base: float) -> None:
     points = np.concatenate([mesh.vertices for mesh, _ in bodies])
     image = LayeredImage(fit_camera(points, *VIEW, SIZE))
     for mesh, hue in bodies:
-        paint_body(image, RayMesh(mesh), hue)
+        paint_solid(image, RayMesh(mesh), hue, has_shadows=False)
     out.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.rint(255 * image.composed()).astype(np.uint8)).save(out, optimize=True)
 

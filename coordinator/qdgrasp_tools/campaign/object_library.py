@@ -30,7 +30,6 @@ COLUMNS = ("file", "unit", *NUMBERS, *NOTES, *PREPARATIONS)
 MASS_DIGITS = 6  # Significant digits of a mass that follows from a density
 GREATEST_MASS = 1000  # Greatest mass that a spec allows [kg]
 NO_MASS = "it has no mass; say what it weighs with --mass or --density, or in a manifest"
-REPORT_COLUMNS = ("object", "file", "reason")
 
 
 class LibraryRules(Struct, frozen=True, kw_only=True):
@@ -136,16 +135,15 @@ def mesh_fault(checked: MeshCheck, mass: float | None) -> str:
 
 def skip_report(skipped: Iterable[SkippedObject]) -> bytes:
     """Return the objects that are left out as a table in CSV."""
-    return csv_text((structs.asdict(each) for each in skipped), REPORT_COLUMNS).encode()
+    return csv_text((structs.asdict(each) for each in skipped), SkippedObject.__struct_fields__).encode()
 
 
 def read_skip_report(report: Path) -> list[SkippedObject]:
     """Read the table of the objects that are left out; a missing one is empty."""
     if not report.is_file():
         return []
-    return [
-        SkippedObject(*(row[column] for column in REPORT_COLUMNS)) for row in read_csv(report, REPORT_COLUMNS)
-    ]
+    columns = SkippedObject.__struct_fields__
+    return [SkippedObject(*(row[name] for name in columns)) for row in read_csv(report, columns)]
 
 
 def _mass(row: LibraryRow, rules: LibraryRules, checked: MeshCheck) -> float | None:

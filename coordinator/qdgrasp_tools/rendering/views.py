@@ -28,7 +28,6 @@ from qdgrasp_tools.rendering.ray_renderer import (
     Floats,
     LayeredImage,
     ParallelCamera,
-    RayHits,
     RayMesh,
     fit_camera,
     shadowed_light,
@@ -83,11 +82,7 @@ def hand_picture(scene: Scene, row: Rows, size: tuple[int, int], view: tuple[flo
     `size` is width and height [pixels], `view` azimuth and elevation about the object's z [deg].
     """
     azimuth, elevation = np.radians(view)
-    return clear_png(_image_of_hands(scene, row, azimuth, elevation, size))
-
-
-def clear_png(image: LayeredImage) -> bytes:
-    """Return an image on a transparent ground, as a PNG."""
+    image = _image_of_hands(scene, row, azimuth, elevation, size)
     light, dark = image.composed(), image.composed(ground=0.0)
     covered = 1 - (light - dark).mean(axis=2, keepdims=True)
     layers = np.concatenate([dark / np.maximum(covered, 1e-3), covered], axis=2)
@@ -162,28 +157,26 @@ def best_in_cells(successes: Rows) -> Rows:
     return ordered[first]
 
 
-def paint_solid(image: LayeredImage, solid: RayMesh, colour: Floats, margins: Floats | None = None) -> None:
-    """Paint a solid in one colour (3,) or one for each face (f, 3), with its own shadows.
+def paint_solid(
+    image: LayeredImage,
+    solid: RayMesh,
+    colour: Floats,
+    margins: Floats | None = None,
+    *,
+    has_shadows: bool = True,
+) -> None:
+    """Paint a solid in one colour (3,) or one for each face (f, 3), maybe with its own shadows.
 
     Where `margins` (v,), as of `object_surface`, are below 0 it is `FORBIDDEN`.
     """
     hits = solid.cast_from(image.camera)
-    light = 0.14 + 0.92 * shadowed_light(hits, solid, image.camera) ** 0.7
-    image.add_solid(hits, np.clip(_colours(hits, colour, margins) * light[:, None], 0, 1))
-
-
-def paint_body(image: LayeredImage, body: RayMesh, colour: Floats, margins: Floats | None = None) -> None:
-    """Paint a solid as `paint_solid`, without shadows."""
-    hits = body.cast_from(image.camera)
-    light = 0.35 + 0.75 * soft_light(hits.normals, image.camera)[:, None]
-    image.add_solid(hits, np.clip(_colours(hits, colour, margins) * light, 0, 1).astype(np.float32))
-
-
-def _colours(hits: RayHits, colour: Floats, margins: Floats | None) -> Floats:
+    light = 0.35 + 0.75 * soft_light(hits.normals, image.camera)
+    if has_shadows:
+        light = 0.14 + 0.92 * shadowed_light(hits, solid, image.camera) ** 0.7
     colours = np.array(colour[hits.faces] if colour.ndim > 1 else np.broadcast_to(colour, hits.points.shape))
     if margins is not None:
         colours[(hits.weights * margins[hits.corners]).sum(axis=1) < 0] = rgb(FORBIDDEN)
-    return colours
+    image.add_solid(hits, np.clip(colours * light[:, None], 0, 1).astype(np.float32))
 
 
 def object_colour(scene: Scene) -> Floats:

@@ -50,8 +50,8 @@ from qdgrasp_tools.rendering.views import (
     PaintedMesh,
     object_colour,
     object_surface,
-    paint_body,
     paint_neighbours,
+    paint_solid,
     rgb,
 )
 from qdgrasp_tools.report.run_report import row_at
@@ -235,8 +235,8 @@ class SnapshotRenderer:
         image = LayeredImage(camera)
         *hand, (target, hue) = self._placed(snapshot)
         for mesh, link_hue in hand:
-            paint_body(image, RayMesh(mesh), link_hue)
-        paint_body(image, RayMesh(target), hue, self._margins)
+            paint_solid(image, RayMesh(mesh), link_hue, has_shadows=False)
+        paint_solid(image, RayMesh(target), hue, self._margins, has_shadows=False)
         if snapshot.phase in CLOSING:
             paint_neighbours(image, self._scene)
         return Image.fromarray(np.rint(255 * image.composed()).astype(np.uint8))
