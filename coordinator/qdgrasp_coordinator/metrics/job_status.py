@@ -84,6 +84,7 @@ class ObjectListing(RunTotals, frozen=True, kw_only=True):
     file: Annotated[str, "As specs name it: built in, on the asset path, or a file."]
     category: Annotated[str, "As its library has it; empty: not said."] = ""
     hands: Annotated[list[str], "Grippers of its runs."] = field(default_factory=list)
+    regions: Annotated[str, "Where its runs may touch it, and where not, in words; empty: anywhere."] = ""
     names: Annotated[list[str], "Its runs by name, those that have begun first; at most 32."] = field(
         default_factory=list
     )

@@ -79,7 +79,6 @@ ADAPTIVE_BUDGET = {"evaluations": 20_000, "saturation": SATURATION}
 """Budget and saturation of a campaign with a target of grasps, unless it says others."""
 LONGEST_NAME = 64
 LARGEST_CAMPAIGN = 64 << 20  # Most characters of a campaign's file; 100 000 objects have 30 million
-CAMPAIGN_KEYS = frozenset({"prefer_scans", "defaults", "cross", "objects"})
 
 
 ObjectValues = Mapping[str, Mapping[str, Any]]
@@ -150,7 +149,7 @@ def _with_goals(defaults: Mapping[str, Any], goals: Mapping[str, Any]) -> dict[s
 
 def is_campaign(path: Path) -> bool:
     """Return whether a TOML file is a campaign's, not a run's; raises as `read_campaign`."""
-    return not CAMPAIGN_KEYS.isdisjoint(read_run_spec(path, LARGEST_CAMPAIGN))
+    return not set(CampaignTables.__struct_fields__).isdisjoint(read_run_spec(path, LARGEST_CAMPAIGN))
 
 
 def make_campaign(source: dict[str, Any], where: str, *, here: bool = True) -> Campaign:
@@ -228,6 +227,10 @@ def _resolved(values: dict[str, Any], stand_ins: dict[str, None] | None) -> dict
         if key in values:
             value = values[key]
             resolved[key] = [act(one) for one in value] if isinstance(value, list) else act(value)
+    for key in ("on", "avoid"):
+        if isinstance(value := values.get(key), list) and value:
+            lists = value if isinstance(value[0], list) else [value]  # as a spec has it: one value
+            resolved[key] = [[absolute_asset(name) for name in names] for names in lists]
     return resolved
 
 

@@ -62,6 +62,7 @@ TASK_NAME = re.compile(r"'mesh\.\w+'")  # The name of a mesh where its shape is 
 SCENE_KEYS = (
     *("gripper", "object", "mass", "scale", "friction", "mesh", "about"),
     *("protocol", "base", "engine", "surface_seed", "approach_distance", "resting_pose", "scene"),
+    *("on", "avoid"),
 )
 """The keys of a spec that its scene depends on."""
 

@@ -76,12 +76,19 @@ def _listing(
         file=file,
         category=(about.category if about else None) or "",
         hands=list({Path(spec.gripper).stem: None for spec in group.values()}),
+        regions="; ".join(filter(None, dict.fromkeys(map(region_words, group.values())))),
         names=list(names | dict.fromkeys(group))[:MOST_NAMES],
         runs=len(group),
         runs_done=done,
         state=_state(len(group), done, 0, has_begun=bool(begun)),
         little=little,
     )
+
+
+def region_words(spec: RunSpec) -> str:
+    """Return the regions of a spec, files by their names: "on handle, avoid rim"; empty: none."""
+    regions = ((key, name) for key in ("on", "avoid") for name in getattr(spec, key) or ())
+    return ", ".join(f"{key} {Path(name).name}" for key, name in regions)
 
 
 def _state(runs: int, done: int, failed: int, *, has_begun: bool, is_building: bool = False) -> ObjectState:
@@ -206,7 +213,9 @@ def select_objects(
 
 def _searched(each: ObjectListing) -> str:
     name = Path(each.file).name
-    return " ".join((each.object, name, each.category, *each.hands, each.state, each.note)).lower()
+    return " ".join(
+        (each.object, name, each.category, *each.hands, each.regions, each.state, each.note)
+    ).lower()
 
 
 def count_states(listings: Iterable[ObjectListing]) -> dict[str, int]:
@@ -215,26 +224,22 @@ def count_states(listings: Iterable[ObjectListing]) -> dict[str, int]:
     return {state: counts[state] for state in STATES if counts[state]}
 
 
-COLUMNS: dict[str, Callable[[ObjectListing], object]] = {
-    "object": lambda one: one.object,
-    "state": lambda one: one.state,
-    "runs": lambda one: f"{one.runs_done}/{one.runs}",
-    "evaluations": lambda one: one.evaluations,
-    "successes": lambda one: one.successes,
-    "share": lambda one: f"{100 * one.success_share:.1f} %",
-    "cells": lambda one: one.cells,
-    "grasps": lambda one: one.grasps,
-    "errors": lambda one: one.errors,
-    "note": lambda one: one.note,
-}
-"""Columns of the table as text."""
+WORDS = ("object", "state", "regions", "note")  # Columns of words; others are numbers
+COLUMNS = (*WORDS[:3], "runs", "evaluations", "successes", "share", "cells", "grasps", "errors", WORDS[3])
+"""Columns of the table as text; `regions` is there if a run has some."""
 
 
 def table_lines(listings: Sequence[ObjectListing]) -> list[str]:
     """Return the table as text: a line with the names of columns, and one for each object."""
-    cells = [[str(text(each)) for text in COLUMNS.values()] for each in listings]
-    left = [list(COLUMNS).index(name) for name in ("object", "state", "note")]
-    return aligned_text([list(COLUMNS), *cells], left).splitlines()
+    names = [name for name in COLUMNS if name != "regions" or any(each.regions for each in listings)]
+    cells = [[_cell(each, name) for name in names] for each in listings]
+    return aligned_text([names, *cells], [names.index(name) for name in WORDS if name in names]).splitlines()
+
+
+def _cell(each: ObjectListing, name: str) -> str:
+    if name == "runs":
+        return f"{each.runs_done}/{each.runs}"
+    return f"{100 * each.success_share:.1f} %" if name == "share" else str(getattr(each, name))
 
 
 CAMPAIGN_FIELDS = ("campaign", "runs", "runs_done", "objects", "budget")  # Of a table's beginning

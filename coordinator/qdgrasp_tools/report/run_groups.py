@@ -208,6 +208,7 @@ def _variants(scene: SceneName, method: str, runs: list[RunHistory]) -> Iterator
 
 def _settings(spec: RunSpec) -> dict[str, str]:
     values = {key: msgspec.to_builtins(value) for key, value in msgspec.structs.asdict(spec).items()}
+    values |= {key: " ".join(values[key] or ("-",)) for key in ("on", "avoid")}
     return {
         key: " ".join(f"{name}={one}" for name, one in value.items())
         if isinstance(value, dict)

@@ -64,6 +64,10 @@ class TestCrossing:
         file.write_text(asked.toml)
         assert read_campaign(file).runs == asked.runs
 
+    def test_the_regions_of_a_spec_are_one_value(self) -> None:
+        runs = make_campaign({"cross": [CROSS | {"on": ["handle", "rim"]}]}, "c.toml").runs
+        assert {spec.on for spec in runs.values()} == {("handle", "rim")}
+
     def test_a_run_with_two_budgets_is_refused(self) -> None:
         with pytest.raises(InputError, match=r"'panda-mug-contact_rand-s0' twice, with different values"):
             names({"cross": [CROSS, CROSS | {"evaluations": 7}]})

@@ -91,6 +91,13 @@ def test_runs_are_made_with_the_scene_that_this_machine_would_build(runs, tmp_pa
     assert scenes == {name: prepare_scene(spec).bundle.digest for name, spec in runs.items()}
 
 
+def test_runs_that_may_touch_an_object_elsewhere_have_other_scenes() -> None:
+    cross = {"gripper": "panda", "object": "mug", "on": [["handle"], ["rim"]]}
+    queue = CampaignRunQueue(None, make_campaign({"cross": [cross]}, "test").runs)
+    scenes = [plan.bundle.digest for plan in iter(queue.next, None)]
+    assert len(set(scenes)) == 2
+
+
 def test_the_runs_of_a_shape_that_cannot_be_built_fail_and_the_others_are_made(runs, tmp_path) -> None:
     queue = CampaignRunQueue(None, runs)
     bad, good = queue.wanted_shapes(10).shapes

@@ -9,6 +9,7 @@ from tests.coordinator.recorded_campaigns import ObjectRun, listed
 from qdgrasp_coordinator.metrics.job_status import ObjectListing
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS, RunTotals
 from qdgrasp_protocol.spec import RunSpec
+from qdgrasp_tools.campaign.summaries import table_lines
 
 BUDGET = 4000
 
@@ -50,6 +51,14 @@ def test_the_runs_of_an_object_are_added_up() -> None:
     assert found.success_share == pytest.approx(4000 / 6000)
     assert found.grasps == 2000
     assert found.names == ["panda-mug-s0", "allegro-mug-s0", "panda-mug-s1"]
+
+
+def test_the_regions_of_runs_are_a_column_where_there_are_some() -> None:
+    plain, handle = run("box"), run("mug", spec={"on": ("/home/me/handle.ply",), "avoid": ("rim",)})
+    head, *lines = table_lines(listed([plain, handle, run("mug", seed=1)]))
+    assert "regions" in head.split()
+    assert ["on handle.ply, avoid rim" in line for line in lines] == [False, True]
+    assert "regions" not in table_lines(listed([plain]))[0]
 
 
 OVERLAPPING = totals(simulated=100, overlaps=3900)

@@ -20,9 +20,9 @@ const ABOUT = {
     return element("span", { class: "about" }, element("small", { class: "faint" }), element("small", { class: "note" }));
   },
   update(node, row) {
-    const { category, hands, file, object } = row;
+    const { category, hands, regions, file, object } = row;
     const [about, note] = node.children;
-    setText(about, [category, hands.join(", ")].filter(Boolean).join(" · "));
+    setText(about, [category, hands.join(", "), regions].filter(Boolean).join(" · "));
     setText(note, words(row)); // where there is no room for the column of notes
     setAttribute(node.parentElement, "title", file === object ? null : file);
   },
