@@ -43,6 +43,7 @@ from qdgrasp_tools.export.grasp_table import (
     change_frame,
     common_values,
     frame_of,
+    region_columns,
     to_matrices,
     xyz_columns,
 )
@@ -437,6 +438,7 @@ class Grasps:
             GraspColumn(POSE_COLUMN, self.rows["base_to_object"], POSE_MEANING),
             *self._columns(frame),
             GraspColumn("contact_points", contacts, CONTACTS_MEANING),
+            *region_columns(self.scene, self.contacts_in(), self.is_settled),
         )
         return {column.name: column for column in every}
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -13,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from qdgrasp_assets.geometry.mesh import Mesh
 from qdgrasp_assets.geometry.rotation import Floats, from_frame, multiply, rotate, tangents
 from qdgrasp_assets.grippers.gripper_file import OriginalBase
-from qdgrasp_assets.scene import RestingPose, SceneGripper, SceneObject
+from qdgrasp_assets.regions import regions_at
+from qdgrasp_assets.scene import RestingPose, Scene, SceneGripper, SceneObject
 from qdgrasp_coordinator.search.fixed_poses import FARTHEST
 from qdgrasp_protocol.errors import InputError, UnknownName
 from qdgrasp_protocol.spec import DEFAULT_ENGINE, ObjectRecord, RunSpec, from_toml
@@ -270,6 +272,22 @@ def xyz_columns(begin: str, vectors: Floats, meaning: str) -> Iterator[GraspColu
         yield GraspColumn(f"{begin}{name}", values, meaning)
 
 
+def region_columns(
+    scene: Scene, contacts: GraspContacts, is_known: NDArray[np.bool_]
+) -> Iterator[GraspColumn]:
+    """Yield a column of the region that each contact is in, "" in none, if a scene has regions.
+
+    `contacts` are in the mesh file's frame; None where they are not known (n,).
+    """
+    if scene.regions:
+        is_there = contacts.links > 0
+        names = iter(regions_at(scene, contacts.points[is_there]))
+        lists = np.empty(len(is_there), dtype=object)
+        lists[:] = [list(islice(names, int(count))) for count in is_there.sum(axis=1)]
+        lists[~is_known] = None
+        yield GraspColumn(REGION_COLUMN, lists, "the region of the object that each contact is in")
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GraspTable:
     """Grasps of a hand on an object as a file has them, n lines; None: the file does not say it."""
@@ -321,6 +339,7 @@ class GraspTable:
 PREGRASP = "pregrasp."  # Prefix of columns of joints before closing; the joint's name follows
 POSE_COLUMN = "base_to_object"
 CONTACTS_MEANING = "contacts after closing: the hand's link, point on the object [m], normal, force [N]"
+REGION_COLUMN = "contact_regions"
 POSE_MEANING = "the pose as simulated: x y z [m] qx qy qz qw, centre-of-mass frame"
 
 
@@ -330,9 +349,9 @@ def arrow_table(columns: dict[str, GraspColumn], metadata: dict[str, str] | None
 
     contact = pa.struct([(name, pa.float32() if name != "link" else pa.string()) for name in CONTACT_FIELDS])
 
-    def array(values: NDArray[np.generic]) -> Any:
+    def array(name: str, values: NDArray[np.generic]) -> Any:
         if values.dtype.kind == "O":
-            return pa.array(values.tolist(), pa.list_(contact))
+            return pa.array(values.tolist(), pa.list_(pa.string() if name == REGION_COLUMN else contact))
         if values.dtype.kind == "U":
             return pa.array(values.tolist(), pa.string(), mask=values == "")
         if values.ndim > 1:
@@ -340,7 +359,7 @@ def arrow_table(columns: dict[str, GraspColumn], metadata: dict[str, str] | None
             return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1], mask=none)
         return pa.array(np.ascontiguousarray(values), mask=np.isnan(values))
 
-    arrays = {name: array(column.values) for name, column in columns.items()}
+    arrays = {name: array(name, column.values) for name, column in columns.items()}
     fields = [
         pa.field(name, arrays[name].type, metadata={"meaning": column.meaning})
         for name, column in columns.items()

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pyarrow.parquet
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 from tests.coordinator.recorded_runs import record
+from tests.coordinator.scenes import restricted_scene
 from tests.tools.export.conftest import COM, random_rows
 from tests.tools.export.independent_readers import READERS, TURNED, Read, homogeneous
 
@@ -22,6 +24,7 @@ from qdgrasp_tools.export.exporter import FORMATS, export_grasps
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run
 from qdgrasp_tools.export.grasp_set import Grasps
 from qdgrasp_tools.export.grasp_table import GraspMetadata
+from qdgrasp_tools.export.tabular import read_parquet
 
 ACROSS = Rotation.from_euler("z", -90, degrees=True)
 """The jaw's own axes open along y; turned by this first, they open along x, as NVIDIA's hands do."""
@@ -150,6 +153,19 @@ class TestFormat:
             there = {path.name for path in tmp_path.iterdir()} - {"out-object.obj"}
             assert there == ({"run", "out"} if before else {"run"})
             assert not before or files(tmp_path / "out") == before
+
+
+def test_parquet_says_in_which_region_a_contact_is(scene, tmp_path) -> None:
+    scene = msgspec.structs.replace(scene, regions=restricted_scene().regions)
+    rows = random_rows(scene, [Outcome.HELD] * 9 + [Outcome.BRUSHED])
+    run = record(tmp_path / "run", scene, rows, method="contact_rand")
+    export_grasps(run, tmp_path / "out.parquet", "parquet", frame="com", negatives=1)
+    *held, brushed = pyarrow.parquet.read_table(tmp_path / "out.parquet").to_pylist()
+    for row in held:
+        for contact, name in zip(row["contact_points"], row["contact_regions"], strict=True):
+            assert (name == "top") == (contact["z"] > 0) or abs(contact["z"]) < 0.015
+    assert brushed["contact_regions"] is None
+    assert len(read_parquet(tmp_path / "out.parquet")) == 10
 
 
 def test_graspgen_has_failures_and_the_mesh_that_its_poses_are_of(run, tmp_path) -> None:
