@@ -180,7 +180,7 @@ class SceneObject(BodyGeometry, frozen=True, kw_only=True):
     spinning_friction: float
 
 
-class SurfacePoints(Struct, frozen=True, kw_only=True):
+class SurfacePoints(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The surface points of an object and the boxes about it, CoM frame."""
 
     points: bytes
@@ -227,7 +227,7 @@ class Region(Struct, frozen=True, kw_only=True):
     """True: contacts are in one of these; False: in none."""
 
 
-class Scene(SurfacePoints, frozen=True, kw_only=True):
+class Scene(SurfacePoints, frozen=True, kw_only=True, forbid_unknown_fields=False):
     """All that a worker needs to evaluate genomes."""
 
     format: int = FORMAT

@@ -229,6 +229,7 @@ FAULTS: dict[str, Changes] = {
     "many repairs": {"repairs": ("merged",) * 65},
     "long words": {"collision_source": "x" * 2000},
     "another field": {"more": 1},
+    "another field of its points": {"surface": {"more": 1}},
     "no map": {},
 }
 
