@@ -36,12 +36,13 @@ def bar(tmp_path):
     whole = trimesh.util.concatenate(blocks)
     corners, faces = ([f"{key} {a} {b} {c}" for a, b, c in rows]
                       for key, rows in (("v", whole.vertices), ("f", whole.faces + 1)))  # fmt: skip
-    names = "g tip tops", "usemtl red paint"
-    (tmp_path / "bar.obj").write_text("\n".join([*corners, "g base", *faces[:12], *names, *faces[12:]]))
+    names, seam = ("g tip tops", "usemtl red paint"), ("g seam", "f 9 9 10")  # without area
+    lines = *corners, "g base", *faces[:12], *names, *faces[12:], *seam
+    (tmp_path / "bar.obj").write_text("\n".join(lines))
     whole.visual.face_colors = [(128, 128, 128, 255)] * 12 + [(255, 0, 0, 255)] * 12
     whole.export(tmp_path / "bar.ply")
     upward = trimesh.transformations.translation_matrix((0, 0, 0.02))
-    scene = trimesh.Scene({"base": blocks[0]})
+    scene = trimesh.Scene({"base": blocks[0], "dots": trimesh.PointCloud(whole.vertices)})
     scene.add_geometry(blocks[0], node_name="tip", transform=upward)
     scene.export(tmp_path / "bar.glb")
     (tmp_path / "bar.toml").write_text('[regions]\nend = "tip"\n')
@@ -49,12 +50,13 @@ def bar(tmp_path):
     return tmp_path
 
 
-OWN = ("bar.obj", "tip"), ("bar.obj", "red paint"), ("bar.glb", "end"), ("bar.ply", "#ff0000")
+OWN = "bar.obj:tip", "bar.obj:red paint", "bar.obj:seam", "bar.glb:end", "bar.ply:#ff0000"
 
 
-@pytest.mark.parametrize(("file", "region"), OWN)
+@pytest.mark.parametrize("part", OWN)
 @pytest.mark.parametrize("scale", [1.0, 2.0])
-def test_a_region_is_a_part_that_the_file_of_the_object_names(bar, file, region, scale):
+def test_a_region_is_a_part_that_the_file_of_the_object_names(bar, part, scale):
+    file, region = part.split(":")
     scene = scene_of(object=str(bar / file), mass=0.1, scale=scale, on=[region])
     heights = scene.surface_points[:, 2] + scene.object.com_in_mesh[2]
     assert -0.0011 < heights.min() < 0.01 * scale < heights.max()
@@ -63,7 +65,7 @@ def test_a_region_is_a_part_that_the_file_of_the_object_names(bar, file, region,
 @pytest.mark.parametrize("on", ["tap", "box:0,0,0", "above:20", "absent.ply", "large.stl"])
 def test_a_region_that_cannot_be_used_is_refused(bar, monkeypatch, on):
     monkeypatch.chdir(bar)
-    sentence = r"Known: base, end, red paint, tip, tip tops, tops\.|box:x0,y0|goes from|No mesh file|is 40 m"
+    sentence = r"Known: base, end, red paint, seam, tip, .*|box:x0,y0|goes from|No mesh file|is 40 m"
     with pytest.raises(InputError, match=sentence) as refused:
         scene_of(object="bar.obj", mass=0.1, on=[on])
     assert "\n" not in str(refused.value)

@@ -146,6 +146,7 @@ def named_parts(path: Path, scale: float) -> dict[str, Mesh]:
     else:
         for name, mesh in _scene_parts(_load_scene(path)):
             found.setdefault(name, []).append(mesh)
+        found.pop(path.name, None)  # of a format without names
     return {name: join(meshes).scaled(scale) for name, meshes in found.items()}
 
 
@@ -154,6 +155,8 @@ def _scene_parts(scene: Any) -> Iterator[tuple[str, Mesh]]:
     for node in scene.graph.nodes_geometry:
         frame, geometry = scene.graph[node]
         found, above = scene.geometry[geometry], [node]
+        if not hasattr(found, "faces"):  # points and lines
+            continue
         while (parent := scene.graph.transforms.parents.get(above[-1])) not in (None, scene.graph.base_frame):
             above.append(parent)
         mesh = Mesh(np.asarray(found.vertices) @ frame[:3, :3].T + frame[:3, 3], np.asarray(found.faces))

@@ -64,7 +64,7 @@ def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Floats, NDArray[np.in
     """Draw `n` points (n, 3) [m] uniformly by area, with the face (n,) that each is from."""
     random = np.random.default_rng(seed)
     cumulated = np.cumsum(mesh.areas)
-    drawn = np.searchsorted(cumulated, random.random(n) * cumulated[-1], side="right")
+    drawn = np.searchsorted(cumulated[:-1], random.random(n) * cumulated[-1], side="right")
     root, share = np.sqrt(random.random(n)), random.random(n)
     weights = np.stack([1 - root, root * (1 - share), root * share], axis=1)
     points: Floats = np.einsum("nk,nkc->nc", weights, mesh.corners[drawn])
