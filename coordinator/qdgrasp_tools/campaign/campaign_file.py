@@ -229,7 +229,7 @@ def _resolved(values: dict[str, Any], stand_ins: dict[str, None] | None) -> dict
             resolved[key] = [act(one) for one in value] if isinstance(value, list) else act(value)
     for key in ("on", "avoid"):
         if isinstance(value := values.get(key), list) and value:
-            lists = value if isinstance(value[0], list) else [value]  # as a spec has it: one value
+            lists = value if all(isinstance(each, list) for each in value) else [value]  # one, as in a spec
             resolved[key] = [[absolute_asset(name) for name in names] for names in lists]
     return resolved
 

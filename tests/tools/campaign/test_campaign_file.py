@@ -163,6 +163,7 @@ class TestRefusals:
             ({"cross": [CROSS], "objects": {"mug": {"weight": 0.3}}}, InputError, "weight"),
             ({"cross": [CROSS], "prefer_scans": "yes"}, InputError, "prefer_scans"),
             ({"cross": [CROSS, CROSS | {"object": []}]}, ImpossibleValue, "object must be one value, or"),
+            ({"cross": [CROSS | {"on": [["handle"], "rim"]}]}, ImpossibleValue, "on must be a list of texts"),
             ({"cross": [CROSS | {"sede": 3}]}, UnknownKey, "sede"),
             ({"cross": [CROSS | {"method": "best"}]}, UnknownName, "best"),
             ({"cross": [CROSS | {"seed": [-1]}]}, ImpossibleValue, "at least 0"),
