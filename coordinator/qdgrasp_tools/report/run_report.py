@@ -39,7 +39,7 @@ from qdgrasp_coordinator.search.registry import prior_of
 from qdgrasp_coordinator.storage.engine_table import HeldShare, held_shares, other_tables, verdicts
 from qdgrasp_coordinator.storage.journal import Journal
 from qdgrasp_coordinator.storage.run_folder import RunFolder, provenance
-from qdgrasp_coordinator.storage.success_pages import RowContext, success_page
+from qdgrasp_coordinator.storage.success_pages import RowContext
 from qdgrasp_protocol.errors import InputError
 from qdgrasp_protocol.rows import CONTACT_VALUES, Outcome
 from qdgrasp_protocol.spec import DEFAULT_ENGINE
@@ -121,14 +121,15 @@ def row_report(folder: RunFolder, number: int) -> dict[str, Any]:
     with folder.journal() as journal:
         row = row_at(folder, journal, number)
         found_by = provenance(folder, journal)
-        spec, context = found_by.spec, row_context(folder, journal)
-        found, _ = success_page(journal, number, context)
+        spec, plan = found_by.spec, TrialPlan.of(found_by.spec)
+        is_tried = plan.trials and row["trial"] == 0 and Outcome(row["outcome"]).is_success
+        found = find_successes(journal.blocks(number) if is_tried else (), plan, first=number)
+        success = next(filter(len, found), None)
         counts = {"number": number, "rows": journal.count}
         digest, reason = journal.scene, journal.errors().get(number, "")
         makers = journal.makers(number, number + 1)
-    scene, prior, success = folder.scene(), prior_of(spec), found[found["number"] == number]
-    etas = success["eta"][success["eta"] >= 0].astype(float)
-    errors = eta_error(etas, np.full(len(etas), context.plan.usual))
+    scene, prior = folder.scene(), prior_of(spec)
+    eta = np.array(plan.eta(success.scores)[0] if success else np.nan)
     return {
         "folder": str(folder.path),
         "run": found_by.run,
@@ -136,11 +137,9 @@ def row_report(folder: RunFolder, number: int) -> dict[str, Any]:
         **_row_fields(row, scene, prior),
         "reason": reason,  # of an error
         "made_by": " on ".join(makers[0][2:]) if makers else None,  # a worker's id and host
-        "trials": int(success["trials"].sum()),  # that are recorded
-        "eta": next(
-            iter(etas.tolist()), None
-        ),  # estimated probability of transfer, once all trials are there
-        "eta_error": next(iter(errors.tolist()), None),  # standard error, for the number of trials alone
+        "trials": int(success.trials[0]) if success else 0,  # that are recorded
+        "eta": known(eta),  # the estimated probability of transfer, once all trials are there
+        "eta_error": known(eta_error(eta, np.array(plan.usual))),  # for the number of trials alone
         "elsewhere": _other_verdicts(folder, number, row),
         **{name: getattr(spec, name) for name in ("gripper", "object", "protocol", "method", "seed")},
         "prior": prior,
@@ -191,6 +190,11 @@ def _row_fields(row: np.void, scene: Scene, prior: str) -> dict[str, Any]:
         "contact_points": list(row_contacts(row, scene.gripper)),
         "genome": list(_gene_values(row, scene, prior)),
     }
+
+
+def known(value: Any) -> float | None:
+    """Return a number, an array (), as a float; None where it is NaN."""
+    return None if np.isnan(value) else float(value)
 
 
 def row_contacts(row: np.void, gripper: SceneGripper) -> Iterator[dict[str, Any]]:

@@ -26,7 +26,7 @@ from qdgrasp_coordinator.metrics.grasp_quality import object_motion, settled_mas
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.rows import Outcome, trial_count
 from qdgrasp_tools.rendering.views import object_surface
-from qdgrasp_tools.report.run_report import row_contacts
+from qdgrasp_tools.report.run_report import known, row_contacts
 
 SHARP = np.radians(45)  # faces that meet at a sharper angle are drawn with an edge
 CLOSING_STEPS = 11  # Poses of the hand from the open one to the closed one
@@ -78,7 +78,7 @@ def grasp_view(find: np.void, scene: Scene, hand: HandGeometry, margin: float = 
         }
         for pose in ends
     )
-    moved, turned = (_known(value) for value in object_motion(alone)[0])
+    moved, turned = (known(value) for value in object_motion(alone)[0])
     synergies = [synergy.name for synergy in scene.gripper.synergies]
     return {
         "number": int(find["number"]),  # in the journal
@@ -99,16 +99,12 @@ def grasp_view(find: np.void, scene: Scene, hand: HandGeometry, margin: float = 
         "penetration": float(find["penetration"]),
         "moved": moved,  # how the object moved in the hand while it closed; None as `settled`
         "turned": turned,
-        "margin": _known(margin),  # None where it is not known
+        "margin": known(margin),  # None where it is not known
         "contacts": [  # some of them where there were many; `finger`: it makes a success
             each | {"finger": each["link"] in hand.gripper.finger_links}
             for each in row_contacts(find, hand.gripper)
         ],
     }
-
-
-def _known(value: float) -> float | None:
-    return None if np.isnan(value) else float(value)
 
 
 def _closing_frames(
