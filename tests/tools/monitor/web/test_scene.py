@@ -152,6 +152,7 @@ def test_the_card_says_how_closing_went(page: Page) -> None:
         ]
     )
     expect(card).to_contain_text("0.0400 → 0.0100")
+    expect(page.locator(".scene-frames")).to_contain_text("hand (palm)")
 
 
 def test_the_hand_is_closed_and_opened_by_keys_and_contacts_are_there_when_it_is_closed(page: Page) -> None:
