@@ -21,10 +21,10 @@ TABLE, LEVER = 0.5, 0.03  # Friction as of a table: share of the weight, lever o
 def replay(model: Any, grasp: dict[str, Any], speeds: Any) -> tuple[bool, bool]:
     """Return whether a grasp lifts the object 8 cm, and whether it is clear before.
 
-    `grasp` has `pose` (7,), xyz [m] and quaternion xyzw of the hand in the object's frame, `way` (3,) that it
-    comes to there [m], and `opened` and `closed` (j,), targets of the joints that the actuators drive;
-    `speeds` (j,) are theirs [m/s, rad/s]. A finger has to touch the object at the end; the grasp is clear if
-    the hand touches no neighbour until the lift.
+    `grasp` has `pose` (7,), xyz [m] and quaternion xyzw of the hand in the object's frame, `way` (3,) from
+    where it begins to there [m], and `opened` and `closed` (j,), targets of the joints that the actuators
+    drive; `speeds` (j,) are theirs [m/s, rad/s]. A finger has to touch the object at the end; the grasp is
+    clear if the hand touches no neighbour until the lift.
     """
     data, mount, thing = mujoco.MjData(model), model.body("mount").id, model.body("object").id
 
@@ -66,7 +66,8 @@ if __name__ == "__main__":
     grasps = dict(np.load(home / "grasps.npz", allow_pickle=False))
     columns = {key: grasps[key][:most] for key in ("pose", "way", "opened", "closed")}
     lines = [dict(zip(columns, line, strict=True)) for line in zip(*columns.values(), strict=True)]
-    lifted, clear = np.array([replay(model, line, grasps["speeds"]) for line in lines]).T
+    found = [replay(model, line, grasps["speeds"]) for line in lines]
+    lifted, clear = np.array(found, bool).reshape(-1, 2).T
     dropped = " ".join(map(str, grasps["number"][:most][~lifted])) or "none"
     sys.stdout.write(f"{sum(lifted)} of {len(lines)} lifted; dropped: {dropped}\n")
     if 0 in model.geom_bodyid:
