@@ -19,6 +19,9 @@ QUICK := tests/protocol tests/coordinator/scheduler tests/coordinator/storage te
 test test-quick test-mujoco test-slow test-docs: export OMP_NUM_THREADS := 1
 test test-quick test-mujoco test-slow test-docs: export OPENBLAS_NUM_THREADS := 1
 
+# Without bytecode each of the processes that tests and the demo start would compile all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help demo test test-quick test-mujoco test-slow test-docs test-gpu check docs fuzz chaos simulate bench grasp-bench lock clean
 help:
 	@echo "make demo    the main job: fill an archive of grasps and draw them (runs/demo, ENGINE=mujoco)"
