@@ -184,9 +184,9 @@ def gather_balls(balls: Balls, side: float) -> tuple[Balls, NDArray[np.intp], ND
     """
     points = balls.centres
     cells = np.floor(points / side).astype(np.int64)
-    _, which, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    order = np.argsort(which.reshape(-1), kind="stable")
-    starts = np.cumsum(counts) - counts
+    order = np.lexsort(cells.T[::-1])
+    starts = np.append(0, 1 + np.flatnonzero(np.diff(cells[order], axis=0).any(axis=1)))
+    counts = np.diff(starts, append=len(points))
     centres = np.add.reduceat(points[order], starts, axis=0) / counts[:, None]
     offsets = points[order] - np.repeat(centres, counts, axis=0)
     reaches = np.sqrt((offsets * offsets).sum(axis=1)) + balls.radii[order]
