@@ -31,7 +31,7 @@ from qdgrasp_protocol.zenoh_bus import ZenohBus
 
 def start(qdgrasp: Commands, rows: int) -> tuple[subprocess.Popen[str], Path]:
     """A run of which some rows are on disk already."""
-    process = qdgrasp.start("run", *LONG, "--workers", 2, "--out", "run")
+    process = qdgrasp.start("run", *LONG, "--workers", 1, "--out", "run")
     folder = qdgrasp.home / "run"
     has_rows(process, folder, rows)
     return process, folder

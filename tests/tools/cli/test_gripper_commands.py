@@ -31,6 +31,7 @@ def gripper(monkeypatch, tmp_path):
     monkeypatch.setattr(
         gripper_commands, "try_hand", lambda hand, _, closing, __: trial_of(hand, closing, Outcome.HELD)
     )
+    monkeypatch.setattr("qdgrasp_tools.rendering.drawings.PORTRAIT_PIXELS", 120)
     monkeypatch.chdir(tmp_path)
     Path("jaw.urdf").write_text(example_hands.JAW_URDF)
     return lambda *words, **more: CliRunner().invoke(gripper_app, words, **more)

@@ -17,6 +17,7 @@ BLOCK = (0.02, 0.03, 0.05)
 def check(tmp_path, monkeypatch):
     """`qdgrasp object check` in a folder of its own."""
     monkeypatch.setenv("QDGRASP_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("qdgrasp_tools.rendering.drawings.PORTRAIT_PIXELS", 120)
     monkeypatch.chdir(tmp_path)
     return lambda *words: CliRunner().invoke(object_app, ["check", *map(str, words)])
 

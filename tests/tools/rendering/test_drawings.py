@@ -100,6 +100,12 @@ def halves(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return views[:, : columns // 2], views[:, columns // 2 :]
 
 
+@pytest.fixture
+def _few_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("qdgrasp_tools.rendering.drawings.PORTRAIT_PIXELS", 120)
+
+
+@pytest.mark.usefixtures("_few_pixels")
 def test_a_hand_is_drawn_open_and_closed(tmp_path: Path) -> None:
     draw_gripper(find_gripper("panda").on_carrier("paper"), tmp_path / "hand.png")
     opened, closed = halves(tmp_path / "hand.png")
@@ -108,6 +114,7 @@ def test_a_hand_is_drawn_open_and_closed(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
+@pytest.mark.usefixtures("_few_pixels")
 def test_an_object_is_drawn_with_its_parts_in_colours_and_dollars_in_its_name_are_no_mathematics(
     tmp_path: Path,
 ) -> None:
