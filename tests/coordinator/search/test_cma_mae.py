@@ -1,7 +1,5 @@
 """CMA_MAE: what it refuses, and a digest of its asks."""
 
-import hashlib
-
 import numpy as np
 import pytest
 
@@ -38,12 +36,6 @@ def play(search: CmaMae, generations: int, outcome: Outcome | None = None) -> li
         all_asked.append(search.ask(generation))
         search.tell(generation, evaluated(all_asked[-1], outcome))
     return all_asked
-
-
-def digest() -> str:
-    """The sha256 over what is asked in 30 generations, restarts of emitters among them."""
-    genomes = play(CmaMae(spec(30), SHAPE.genes, BOX), 30)
-    return hashlib.sha256(b"".join(one.tobytes() for one in genomes)).hexdigest()
 
 
 @pytest.mark.parametrize("population", [1, 15, 40])
