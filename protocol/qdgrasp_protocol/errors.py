@@ -26,8 +26,8 @@ class UnknownName(InputError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
         names = sorted(known)
-        more = f" {hint}" if hint else ""
-        super().__init__(f"Unknown {kind} '{name}'.{_guess(name, names)} Known: {', '.join(names)}.{more}")
+        more, listed = f" {hint}" if hint else "", ", ".join(names) or "none"
+        super().__init__(f"Unknown {kind} '{name}'.{_guess(name, names)} Known: {listed}.{more}")
 
 
 class UnknownKey(InputError):
