@@ -4,11 +4,7 @@ import pytest
 from tests.common import with_gripper
 
 from qdgrasp_assets.catalog import build_scene
-from qdgrasp_assets.genes import (
-    PRIOR_GENES,
-    layout,
-    spherical_radius,
-)
+from qdgrasp_assets.genes import PRIOR_GENES, layout, spherical_radius
 from qdgrasp_assets.scene import FreeJoint, Scene, Synergy
 from qdgrasp_protocol.errors import JawNeeded
 from qdgrasp_protocol.spec import RunSpec

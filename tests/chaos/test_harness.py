@@ -8,13 +8,7 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
-from tests.chaos.plan import (
-    HEAD,
-    FaultKind,
-    RunKind,
-    faults,
-    first_round,
-)
+from tests.chaos.plan import HEAD, FaultKind, RunKind, faults, first_round
 from tests.chaos.play import disturb, undisturbed_digest
 from tests.chaos.processes import ROOT
 from tests.common import wait_for

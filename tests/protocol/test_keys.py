@@ -4,13 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from qdgrasp_protocol.errors import ImpossibleValue
-from qdgrasp_protocol.keys import (
-    NAME,
-    Keys,
-    job_of,
-    matches,
-    parse_number,
-)
+from qdgrasp_protocol.keys import NAME, Keys, job_of, matches, parse_number
 
 WID = "0123456789abcdef" * 2
 

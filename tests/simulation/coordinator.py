@@ -22,12 +22,7 @@ from qdgrasp_coordinator.scheduler.run_plan import (
     WantedShape,
     WantedShapes,
 )
-from qdgrasp_coordinator.scheduler.run_registry import (
-    ActiveRun,
-    LoadEnded,
-    LoaderEvent,
-    RunRegistry,
-)
+from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, LoadEnded, LoaderEvent, RunRegistry
 from qdgrasp_protocol import messages
 from qdgrasp_protocol.build_messages import MeshFile, ShapeTask
 from qdgrasp_protocol.bus import LinkChange

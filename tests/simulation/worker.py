@@ -26,12 +26,7 @@ from qdgrasp_protocol.process import Stop
 from qdgrasp_protocol.process_limits import STALL_SIGNAL, ProcessStats
 from qdgrasp_protocol.rows import RESULT, Outcome, Rows, pack
 from qdgrasp_worker.runtime import service as serving
-from qdgrasp_worker.runtime.background_tasks import (
-    JOIN_SECONDS,
-    BuildEnded,
-    JoinAnswered,
-    SceneAnswered,
-)
+from qdgrasp_worker.runtime.background_tasks import JOIN_SECONDS, BuildEnded, JoinAnswered, SceneAnswered
 from qdgrasp_worker.runtime.job_registry import JobSession
 from qdgrasp_worker.runtime.service import StopRequested, WorkerService
 from qdgrasp_worker.runtime.simulator_messages import (

@@ -5,14 +5,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from tests.system.commands import (
-    Commands,
-    digest_of,
-    end_of,
-    has_rows,
-    kill,
-    pids,
-)
+from tests.system.commands import Commands, digest_of, end_of, has_rows, kill, pids
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 

@@ -13,16 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from queue import SimpleQueue
 
 from tests.common import PATIENCE, own_endpoint, wait_for
-from tests.system.commands import (
-    MONITOR,
-    SMALL,
-    Commands,
-    end_of,
-    has_rows,
-    held,
-    pids,
-    rows_recorded,
-)
+from tests.system.commands import MONITOR, SMALL, Commands, end_of, has_rows, held, pids, rows_recorded
 
 from qdgrasp_coordinator.metrics.job_status import JobStatus, RunStatus
 from qdgrasp_coordinator.storage.job_folder import JobFolder

@@ -7,11 +7,7 @@ from tests.worker.genomes import decoded
 
 from qdgrasp_assets.genes import layout
 from qdgrasp_protocol.rows import NO_SYNERGY, Outcome
-from qdgrasp_worker.contact_filter import (
-    BoundingBalls,
-    ContactFilter,
-    coarseness,
-)
+from qdgrasp_worker.contact_filter import BoundingBalls, ContactFilter, coarseness
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.engines.bullet_world import BulletShakenWorld
 from qdgrasp_worker.episode import ShakenEpisode

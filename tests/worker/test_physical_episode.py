@@ -14,11 +14,7 @@ from qdgrasp_protocol.rows import GIVEN, NO_SYNERGY, Outcome
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_worker.decoder import HandPose
 from qdgrasp_worker.episode import APPROACH_STEP, EpisodeResult, approach_path
-from qdgrasp_worker.evaluation_protocols import (
-    PHYSICAL,
-    ROBUST_BY_BASE,
-    TrialSetup,
-)
+from qdgrasp_worker.evaluation_protocols import PHYSICAL, ROBUST_BY_BASE, TrialSetup
 from qdgrasp_worker.evaluator import make_episode, make_world
 
 SIDE = radians(27.0)  # The direction of one of the cube's sides

@@ -39,12 +39,7 @@ from qdgrasp_protocol.spec import (
     usual_engine,
 )
 from qdgrasp_protocol.text import counted
-from qdgrasp_tools.campaign.object_library import (
-    LibraryRules,
-    SkippedObject,
-    mesh_fault,
-    read_library,
-)
+from qdgrasp_tools.campaign.object_library import LibraryRules, SkippedObject, mesh_fault, read_library
 
 SHORT_KEYS = {
     "mutation_sigma": "sigma",

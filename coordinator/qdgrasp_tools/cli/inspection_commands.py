@@ -28,12 +28,7 @@ from qdgrasp_tools.local.progress import progress_display
 from qdgrasp_tools.local.supervisor import LocalJobConfig
 from qdgrasp_tools.report.run_report import report_table, row_report, run_summary
 from qdgrasp_tools.verification.comparison import VerificationReport
-from qdgrasp_tools.verification.verify import (
-    EngineComparison,
-    choose_rows,
-    compare_engine,
-    verify_rows,
-)
+from qdgrasp_tools.verification.verify import EngineComparison, choose_rows, compare_engine, verify_rows
 from qdgrasp_tools.verification.wrong_rows import take_wrong_rows_back
 
 

@@ -16,12 +16,7 @@ from qdgrasp_assets import catalog
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import InputError, QdgraspError
 from qdgrasp_protocol.session import Role
-from qdgrasp_protocol.spec import (
-    DEFAULT_ENGINE,
-    DEVICE_ENGINE,
-    ENGINE_PACKAGES,
-    usual_engine,
-)
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, DEVICE_ENGINE, ENGINE_PACKAGES, usual_engine
 from qdgrasp_protocol.text import counted
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.cli import options

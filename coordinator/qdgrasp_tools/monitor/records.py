@@ -7,11 +7,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias, TypeVar
 
 from qdgrasp_assets.scene import Scene, unpack_scene
-from qdgrasp_coordinator.metrics.job_status import (
-    ObjectListings,
-    RunListings,
-    from_json,
-)
+from qdgrasp_coordinator.metrics.job_status import ObjectListings, RunListings, from_json
 from qdgrasp_coordinator.metrics.run_stats import GrowthCurve
 from qdgrasp_coordinator.storage import outputs, success_pages
 from qdgrasp_coordinator.storage.job_folder import JobFolder

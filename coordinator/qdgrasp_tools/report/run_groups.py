@@ -15,11 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import bootstrap
 
 from qdgrasp_coordinator.metrics.reference_coverage import CoverageTarget, ReferenceLookup
-from qdgrasp_coordinator.metrics.success_metrics import (
-    StepSeries,
-    cell_growth,
-    reference_growth,
-)
+from qdgrasp_coordinator.metrics.success_metrics import StepSeries, cell_growth, reference_growth
 from qdgrasp_coordinator.search import registry
 from qdgrasp_coordinator.storage import outputs
 from qdgrasp_coordinator.storage.outputs import RUNS, SPEC

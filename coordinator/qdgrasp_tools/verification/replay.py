@@ -38,12 +38,7 @@ from qdgrasp_protocol.replay_messages import (
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.export.grasp_table import to_matrices
 from qdgrasp_tools.local.supervisor import GRACE, local_platform
-from qdgrasp_tools.rendering.ray_renderer import (
-    LayeredImage,
-    ParallelCamera,
-    RayMesh,
-    fit_camera,
-)
+from qdgrasp_tools.rendering.ray_renderer import LayeredImage, ParallelCamera, RayMesh, fit_camera
 from qdgrasp_tools.rendering.views import (
     FINGER_HUES,
     STEEL,

@@ -6,14 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from qdgrasp_assets.geometry.rotation import (
-    conjugate,
-    from_frame,
-    multiply,
-    rotate,
-    tangents,
-    unit,
-)
+from qdgrasp_assets.geometry.rotation import conjugate, from_frame, multiply, rotate, tangents, unit
 
 components = st.floats(-1.0, 1.0, allow_nan=False, width=32)
 vectors = arrays(np.float64, (5, 3), elements=components).filter(

@@ -2,11 +2,7 @@ import numpy as np
 import pytest
 
 from qdgrasp_assets.geometry.mesh import box
-from qdgrasp_assets.geometry.surface_points import (
-    paper_surface,
-    released_surface,
-    sample_surface,
-)
+from qdgrasp_assets.geometry.surface_points import paper_surface, released_surface, sample_surface
 from qdgrasp_assets.stand_ins import stand_in
 from qdgrasp_assets.ycb import SCAN_NAMES, read_scan
 

@@ -3,10 +3,7 @@
 import pytest
 
 from qdgrasp_assets.catalog import GRIPPERS, REFERENCE, find_gripper
-from qdgrasp_assets.gripper_setup.posture_checks import (
-    HandPostures,
-    overlapping_pairs,
-)
+from qdgrasp_assets.gripper_setup.posture_checks import HandPostures, overlapping_pairs
 from qdgrasp_assets.grippers.hand_model import read_hand_model
 
 NAMES = tuple(sorted(path.stem for path in GRIPPERS.glob("*.toml")))

@@ -9,10 +9,7 @@ import pytest
 from tests.coordinator.scenes import SceneMaker
 
 from qdgrasp_assets.scene import Scene
-from qdgrasp_coordinator.metrics.reference_coverage import (
-    ReferenceLookup,
-    read_references,
-)
+from qdgrasp_coordinator.metrics.reference_coverage import ReferenceLookup, read_references
 from qdgrasp_protocol.errors import AssetError, InputError
 
 

@@ -3,11 +3,7 @@ import math
 import numpy as np
 
 from qdgrasp_coordinator.metrics.cells import MIDDLES, GenomeReader, niches
-from qdgrasp_coordinator.metrics.success_metrics import (
-    SuccessMetrics,
-    cell_growth,
-    diversity,
-)
+from qdgrasp_coordinator.metrics.success_metrics import SuccessMetrics, cell_growth, diversity
 from qdgrasp_coordinator.metrics.successes import TrialPlan, all_successes, find_successes
 from qdgrasp_protocol.rows import Gene, Layout, Outcome, Rows, RowShape
 

@@ -9,10 +9,7 @@ import pytest
 from tests.fakes.messages import open_run
 from tests.fakes.recorder import BUNDLE, JOB, SCENE, SHAPE, SPEC, anonymous, make_rows
 
-from qdgrasp_coordinator.recorder.recorder import (
-    COMMITS_AT_ONCE,
-    Recorder,
-)
+from qdgrasp_coordinator.recorder.recorder import COMMITS_AT_ONCE, Recorder
 from qdgrasp_coordinator.recorder.run_writer import GROUP_SECONDS
 from qdgrasp_coordinator.storage.finished_runs import FinishedRuns
 from qdgrasp_coordinator.storage.job_folder import JobFolder

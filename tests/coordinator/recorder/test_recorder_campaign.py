@@ -4,15 +4,7 @@ from pathlib import Path
 
 import pytest
 from tests.common import wait_for
-from tests.fakes.recorder import (
-    BUNDLE,
-    JOB,
-    SCENE,
-    FakeCoordinator,
-    anonymous,
-    make_rows,
-    recording,
-)
+from tests.fakes.recorder import BUNDLE, JOB, SCENE, FakeCoordinator, anonymous, make_rows, recording
 
 from qdgrasp_coordinator.storage.job_folder import JobFolder
 from qdgrasp_coordinator.storage.run_folder import RunFolder

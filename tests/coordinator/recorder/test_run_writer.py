@@ -3,9 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.simulation.recorder import FOLDER, MemoryDisk, MemoryRunFolder
 
-from qdgrasp_coordinator.recorder.run_writer import (
-    RunWriter,
-)
+from qdgrasp_coordinator.recorder.run_writer import RunWriter
 from qdgrasp_coordinator.storage.journal import JournalIdentity, JournalSlice
 from qdgrasp_protocol.rows import RowShape
 from qdgrasp_protocol.spec import RunSpec

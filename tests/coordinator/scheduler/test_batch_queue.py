@@ -3,12 +3,7 @@ import pytest
 from tests.fakes.messages import result_message
 
 from qdgrasp_coordinator.scheduler.auditor import read_result
-from qdgrasp_coordinator.scheduler.batch_queue import (
-    BATCH_SECONDS,
-    LEAST_SECONDS,
-    MOST_ROWS,
-    BatchSizer,
-)
+from qdgrasp_coordinator.scheduler.batch_queue import BATCH_SECONDS, LEAST_SECONDS, MOST_ROWS, BatchSizer
 from qdgrasp_coordinator.scheduler.worker_registry import LEASE_SECONDS, LeaseTimeout
 from qdgrasp_protocol.messages import Failure, Result, deflated
 from qdgrasp_protocol.rows import RESULT, Outcome, RowShape, pack

@@ -11,11 +11,7 @@ from tests.fakes.messages import ANN, BOB, join_message
 from tests.fakes.recorder import JOB
 
 from qdgrasp_coordinator.metrics.job_status import WORKERS_PER_PAGE, JobEvent, WorkerStatus
-from qdgrasp_coordinator.scheduler.job_scheduler import (
-    LEAST_STOP_SECONDS,
-    MOST_STOP_SECONDS,
-    JoinRequest,
-)
+from qdgrasp_coordinator.scheduler.job_scheduler import LEAST_STOP_SECONDS, MOST_STOP_SECONDS, JoinRequest
 from qdgrasp_coordinator.scheduler.recorder_client import RowSink
 from qdgrasp_coordinator.scheduler.run_registry import ActiveRun, LoadEnded
 from qdgrasp_coordinator.scheduler.worker_registry import GONE_SECONDS

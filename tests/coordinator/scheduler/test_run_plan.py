@@ -6,11 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from qdgrasp_coordinator.scheduler.run_plan import (
-    ReevaluationPlan,
-    full_spec,
-    prepare_scene,
-)
+from qdgrasp_coordinator.scheduler.run_plan import ReevaluationPlan, full_spec, prepare_scene
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_protocol.errors import ImpossibleValue, InputError, JawNeeded
 from qdgrasp_protocol.messages import Failure

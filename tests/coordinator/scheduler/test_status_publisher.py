@@ -14,18 +14,9 @@ from tests.fakes.recorder import JOB
 from tests.fakes.worker import FakeWorker
 
 from qdgrasp_coordinator.metrics import job_status
-from qdgrasp_coordinator.metrics.job_status import (
-    JobEvent,
-    JobStatus,
-    RunStatus,
-    WorkersPage,
-    from_json,
-)
+from qdgrasp_coordinator.metrics.job_status import JobEvent, JobStatus, RunStatus, WorkersPage, from_json
 from qdgrasp_coordinator.metrics.run_stats import RunCounter
-from qdgrasp_coordinator.scheduler.status_publisher import (
-    STALE_SECONDS,
-    StatusCache,
-)
+from qdgrasp_coordinator.scheduler.status_publisher import STALE_SECONDS, StatusCache
 from qdgrasp_protocol.bus import Bus, Query, Sample
 from qdgrasp_protocol.errors import NoReply, RunsFailed
 from qdgrasp_protocol.keys import Keys, matches

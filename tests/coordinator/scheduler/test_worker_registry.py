@@ -7,11 +7,7 @@ import pytest
 from tests.fakes.messages import join_message
 
 from qdgrasp_coordinator.scheduler.worker_registry import LOOK_SECONDS, WorkerRegistry
-from qdgrasp_coordinator.storage.platforms import (
-    admit_platform,
-    platform_differences,
-    platform_of,
-)
+from qdgrasp_coordinator.storage.platforms import admit_platform, platform_differences, platform_of
 from qdgrasp_protocol.errors import Refused
 
 SCENE = "0" * 64

@@ -12,13 +12,7 @@ from qdgrasp_assets.geometry.rotation import dot, rotate
 from qdgrasp_coordinator.metrics.cells import cells, orientations
 from qdgrasp_coordinator.metrics.contact_niches import contact_niches
 from qdgrasp_coordinator.search.emitters import NeighbourEmitter, RotationEmitter, SurfaceEmitter
-from qdgrasp_coordinator.search.grasp_map import (
-    MOST_TRIES,
-    NOTHING_NEW,
-    Explored,
-    GraspMap,
-    Proposals,
-)
+from qdgrasp_coordinator.search.grasp_map import MOST_TRIES, NOTHING_NEW, Explored, GraspMap, Proposals
 from qdgrasp_coordinator.search.portfolio import EmitterBandit, Portfolio
 from qdgrasp_coordinator.search.registry import METHODS
 from qdgrasp_protocol.rows import Outcome

@@ -23,12 +23,7 @@ from qdgrasp_protocol.errors import FolderError, ImpossibleValue
 from qdgrasp_protocol.rows import Outcome, Rows, RowShape
 from qdgrasp_protocol.spec import RunSpec
 from qdgrasp_tools.campaign.campaign_file import Campaign, make_campaign, read_campaign
-from qdgrasp_tools.campaign.campaign_folder import (
-    CampaignRunQueue,
-    begin_campaign,
-    extend_run,
-    open_campaign,
-)
+from qdgrasp_tools.campaign.campaign_folder import CampaignRunQueue, begin_campaign, extend_run, open_campaign
 from qdgrasp_tools.campaign.summaries import campaign_summary
 from qdgrasp_tools.verification.wrong_rows import take_errors_back
 

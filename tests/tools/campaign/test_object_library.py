@@ -17,11 +17,7 @@ from qdgrasp_protocol.build_messages import MeshPreparation
 from qdgrasp_protocol.errors import InputError, UnknownKey, UnusableMeshes
 from qdgrasp_protocol.keys import NAME
 from qdgrasp_protocol.spec import ObjectRecord
-from qdgrasp_tools.campaign.campaign_file import (
-    Campaign,
-    campaign_of_meshes,
-    read_campaign,
-)
+from qdgrasp_tools.campaign.campaign_file import Campaign, campaign_of_meshes, read_campaign
 from qdgrasp_tools.campaign.campaign_folder import begin_campaign
 from qdgrasp_tools.campaign.object_library import LibraryRules, is_manifest, read_library
 from qdgrasp_tools.campaign.summaries import campaign_summary

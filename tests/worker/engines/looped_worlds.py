@@ -2,13 +2,7 @@
 
 import numpy as np
 
-from qdgrasp_worker.engines.lockstep import (
-    MOVING,
-    BufferSizes,
-    States,
-    StepResult,
-    WorldContacts,
-)
+from qdgrasp_worker.engines.lockstep import MOVING, BufferSizes, States, StepResult, WorldContacts
 from qdgrasp_worker.engines.mujoco_simulation import Simulation
 
 

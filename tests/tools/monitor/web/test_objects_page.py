@@ -10,12 +10,7 @@ from tests.browser import expect
 from tests.coordinator.recorded_campaigns import SKIPPED, ObjectRun, listed
 from tests.coordinator.scenes import made_scene
 from tests.tools.monitor.sample_jobs import event, run, values
-from tests.tools.monitor.web.conftest import (
-    FakeFeed,
-    HandMadeRecords,
-    client,
-    serving,
-)
+from tests.tools.monitor.web.conftest import FakeFeed, HandMadeRecords, client, serving
 
 from qdgrasp_coordinator.metrics.job_status import JobEvents, ObjectListings, RunListing, RunListings, to_json
 from qdgrasp_coordinator.metrics.run_stats import NO_TOTALS

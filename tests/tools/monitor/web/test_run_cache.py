@@ -10,12 +10,7 @@ from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import NoReply
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.records import JournalId, RecordPage
-from qdgrasp_tools.monitor.web.run_cache import (
-    BUSY_SECONDS,
-    FRESH_SECONDS,
-    RunCache,
-    run_caches,
-)
+from qdgrasp_tools.monitor.web.run_cache import BUSY_SECONDS, FRESH_SECONDS, RunCache, run_caches
 from qdgrasp_tools.monitor.web.scene_data import HEADER
 
 

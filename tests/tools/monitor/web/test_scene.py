@@ -13,12 +13,7 @@ from tests import browser
 from tests.browser import expect
 from tests.common import PATIENCE, with_gripper
 from tests.coordinator.scenes import made_scene
-from tests.tools.monitor.web.conftest import (
-    FakeFeed,
-    HandMadeRecords,
-    finds,
-    serving,
-)
+from tests.tools.monitor.web.conftest import FakeFeed, HandMadeRecords, finds, serving
 
 from qdgrasp_assets.scene import Synergy
 from qdgrasp_protocol.rows import Outcome

@@ -18,12 +18,7 @@ from qdgrasp_coordinator.metrics.cells import cells
 from qdgrasp_coordinator.storage.success_pages import SuccessTable
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_tools.monitor.web import scene_data
-from qdgrasp_tools.monitor.web.scene_data import (
-    HEADER,
-    VoxelPages,
-    browser_scene,
-    grasp_view,
-)
+from qdgrasp_tools.monitor.web.scene_data import HEADER, VoxelPages, browser_scene, grasp_view
 
 
 def corners_of(mesh: dict[str, str]) -> NDArray[np.float32]:
