@@ -65,6 +65,7 @@ EngineChoice = Literal[EngineName, "bullet,mujoco", "mujoco,bullet"]
 DEFAULT_ENGINE = "bullet"  # Meant where a spec names none
 DEVICE_ENGINE: Literal["mujoco-warp"] = "mujoco-warp"  # Of workers with a device alone
 DEVICE_VARIABLE = "QDGRASP_DEVICE"  # Variable that names the device of workers
+ENGINES_VARIABLE = "QDGRASP_ENGINES"  # Variable that names the engines of workers; not set: all
 ENGINE_PACKAGES = {name: name for name in ENGINES} | {"bullet": "pybullet", "mujoco-fine": "mujoco"}
 
 

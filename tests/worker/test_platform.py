@@ -10,11 +10,7 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_protocol.rows import Outcome
 from qdgrasp_protocol.spec import RunSpec, has_bullet
 from qdgrasp_worker import platform as module
-from qdgrasp_worker.platform import (
-    physical_probe_digest,
-    platform,
-    probes,
-)
+from qdgrasp_worker.platform import physical_probe_digest, platform, probes
 
 
 def test_the_platform_names_versions_and_digests_in_words():
@@ -33,11 +29,14 @@ print(json.dumps(platform()))
 """
 
 
-def test_without_pybullet_the_platform_is_the_same_without_its_entries():
+def test_without_an_engine_the_platform_is_the_same_without_its_entries(monkeypatch):
     done = subprocess.run([sys.executable, "-c", WITHOUT_BULLET], capture_output=True, check=True, text=True)
-    assert json.loads(done.stdout) == {
-        name: value for name, value in platform().items() if name not in ("pybullet", "probes")
-    }
+    whole = platform()
+    left = {name: value for name, value in whole.items() if name not in ("pybullet", "probes")}
+    assert json.loads(done.stdout) == left
+    for engine, entries in ("mujoco", left), ("bullet", whole.keys() - {"mujoco", "mujoco_probes"}):
+        monkeypatch.setenv("QDGRASP_ENGINES", engine)
+        assert platform() == {name: whole[name] for name in entries}
 
 
 def test_the_probes_of_mujoco_end_in_every_way_and_a_moved_one_changes_their_digest(monkeypatch):

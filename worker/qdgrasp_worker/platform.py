@@ -1,6 +1,7 @@
 """The platform: all that decides the bits of results besides scene and genome."""
 
 import hashlib
+import os
 import platform as machine
 from importlib import import_module
 from importlib.metadata import version
@@ -13,7 +14,7 @@ from qdgrasp_assets.catalog import build_scene
 from qdgrasp_assets.scene import Scene
 from qdgrasp_protocol.errors import QdgraspError
 from qdgrasp_protocol.rows import RESULT, pack
-from qdgrasp_protocol.spec import DEVICE_ENGINE, Device, RunSpec, has_bullet
+from qdgrasp_protocol.spec import DEFAULT_ENGINE, DEVICE_ENGINE, ENGINES_VARIABLE, Device, RunSpec, has_bullet
 from qdgrasp_worker.evaluator import DEVICE_MODULE, Evaluator, make_evaluator
 
 EVALUATION = 4
@@ -31,13 +32,15 @@ def platform(device: Device | None = None) -> dict[str, str]:
     """Versions, the number of the evaluation, and the digests of the probes' results.
 
     Entries of an engine concern its rows alone: `pybullet` and `probes`, which are absent where PyBullet is
-    not installed; `mujoco` and `mujoco_probes`; and those of a device (`device_platform`).
+    not installed; `mujoco` and `mujoco_probes`; and those of a device (`device_platform`). Probes of engines
+    that `ENGINES_VARIABLE` leaves out are not evaluated.
     """
-    found = base_platform()
-    if has_bullet():
+    found, served = base_platform(), os.environ.get(ENGINES_VARIABLE)
+    if has_bullet() and (served is None or DEFAULT_ENGINE in served):
         found |= {"pybullet": version("pybullet"), "probes": probe_digest()}
-    mujoco: str = import_module("mujoco").__version__
-    found |= {"mujoco": mujoco, "mujoco_probes": physical_probe_digest("mujoco")}
+    if served != DEFAULT_ENGINE:
+        mujoco: str = import_module("mujoco").__version__
+        found |= {"mujoco": mujoco, "mujoco_probes": physical_probe_digest("mujoco")}
     return found | (device_platform(device) if device else {})
 
 

@@ -12,7 +12,7 @@ from qdgrasp_protocol import cli_support
 from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EndedEarly, InputError
 from qdgrasp_protocol.process import lifetime
-from qdgrasp_protocol.spec import STOP_KEYS, usual_engine
+from qdgrasp_protocol.spec import STOP_KEYS, engine_names, usual_engine
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_file import campaign_of_meshes, check_meshes, read_campaign
 from qdgrasp_tools.campaign.campaign_folder import begin_campaign, open_campaign
@@ -119,8 +119,9 @@ def campaign(
     if not JobFolder.is_job(path):
         with progress_messages() as tell:
             check_meshes(asked.runs.values(), tell)
-    count = options.worker_count(workers, *(spec.engine for spec in asked.runs.values()))
-    config = LocalJobConfig(count, listen, security, insecure, seconds)
+    engines = {name for spec in asked.runs.values() for name in engine_names(spec.engine)}
+    count = options.worker_count(workers, *engines)
+    config = LocalJobConfig(count, listen, security, insecure, seconds, sorted(engines))
     check_engines(asked.runs.values(), config.workers)
     extent = begin_campaign(path, asked, job)
     folder = JobFolder(path)

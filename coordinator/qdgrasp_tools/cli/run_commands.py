@@ -21,12 +21,7 @@ from qdgrasp_protocol.cli_support import echo
 from qdgrasp_protocol.errors import EndedEarly, FolderError, InputError, UnknownName
 from qdgrasp_protocol.process import Stop, lifetime
 from qdgrasp_protocol.rows import TRIAL_COUNTS, TRIALS, Outcome, Rows
-from qdgrasp_protocol.spec import (
-    MAX_POPULATION,
-    STOP_KEYS,
-    RunSpec,
-    read_run_spec,
-)
+from qdgrasp_protocol.spec import MAX_POPULATION, STOP_KEYS, RunSpec, engine_names, read_run_spec
 from qdgrasp_protocol.text import counted
 from qdgrasp_tools.campaign.campaign_folder import extend_run
 from qdgrasp_tools.campaign.ranking import write_ranking
@@ -91,7 +86,8 @@ def run(
     if "cross" in values:
         raise InputError(f"{spec} asks for many runs: `qdgrasp campaign {spec}` carries them out.")
     asked = run_plan.asked_spec(values | keys, str(spec) if spec else "run")
-    config = LocalJobConfig(options.worker_count(workers, asked.engine), listen, security, insecure, seconds)
+    count, engines = options.worker_count(workers, asked.engine), engine_names(asked.engine)
+    config = LocalJobConfig(count, listen, security, insecure, seconds, engines)
     place = out or Path("runs") / run_plan.default_run_name(asked)
     RunFolder.check_free(place)
     weighed = run_plan.with_mass(asked)
@@ -213,7 +209,8 @@ def resume(
         write_ranking_of(folder)
         return
     count = options.worker_count(workers, folder.spec.engine)
-    config = LocalJobConfig(count, listen, security, insecure, seconds)
+    engines = engine_names(folder.spec.engine)
+    config = LocalJobConfig(count, listen, security, insecure, seconds, engines)
     check_engines([folder.spec], config.workers)
     with (
         lifetime("qdgrasp resume") as stop,
@@ -275,8 +272,9 @@ def rerank(
         raise UnknownName("protocol with trials", protocol, TRIAL_COUNTS)
     source = RunFolder.open(directory)
     limits = options.grasp_limits(keys)
-    count = options.worker_count(workers, keys.get("engine") or source.spec.engine)
-    config = LocalJobConfig(count, listen, security, insecure)
+    engine = keys.get("engine") or source.spec.engine
+    count = options.worker_count(workers, engine)
+    config = LocalJobConfig(count, listen, security, insecure, engines=engine_names(engine))
     asked = {"protocol": protocol, "trials": trials} | keys
     out = out or scored_path(source, protocol)
     score_again(source, out, config, asked, limits, top, candidates, reseat=reseat, job=job)

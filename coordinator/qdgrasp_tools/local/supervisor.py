@@ -42,7 +42,14 @@ from qdgrasp_protocol.messages import TRUST_VARIABLE
 from qdgrasp_protocol.process import OUTSIDE_CODES, ProcessExit, ProcessSupervisor, Stop, check_workers
 from qdgrasp_protocol.rows import GIVEN, Rows
 from qdgrasp_protocol.session import Credentials, Role, parse_endpoints
-from qdgrasp_protocol.spec import DEVICE_ENGINE, DEVICE_VARIABLE, RunSpec, check_engine
+from qdgrasp_protocol.spec import (
+    DEVICE_ENGINE,
+    DEVICE_VARIABLE,
+    ENGINES,
+    ENGINES_VARIABLE,
+    RunSpec,
+    check_engine,
+)
 from qdgrasp_protocol.zenoh_bus import ZenohBus
 from qdgrasp_tools.local.progress import ProgressDisplay
 
@@ -63,6 +70,9 @@ class LocalJobConfig:
     """Listen also where strangers get to."""
     seconds: float | None = None
     """After so long the job ends, done or not; None: when it is done."""
+
+    engines: Sequence[str] = ENGINES
+    """Those of its runs, which its workers serve."""
 
     def __post_init__(self) -> None:
         check_workers(self.workers)
@@ -225,6 +235,8 @@ class Supervisor:
         if self._config.workers:  # those of this machine check the rows of others
             os.environ.setdefault(TRUST_VARIABLE, secrets.token_hex(16))
         with ExitStack() as stack:
+            os.environ[ENGINES_VARIABLE] = ",".join(self._config.engines)
+            stack.callback(os.environ.pop, ENGINES_VARIABLE)
             stack.enter_context(self._folder.supervise())
             stack.callback(self._folder.forget_endpoint)
             self._folder.forget_endpoint()
