@@ -202,7 +202,7 @@ def object_surface(scene: Scene) -> tuple[Mesh, Floats]:
         crossed = (lengths > LONGEST_EDGE) & (np.abs(margins[faces]).max(axis=1) < lengths)
         if not crossed.any():
             return Mesh(vertices, faces), margins
-        vertices, faces = subdivide(vertices, faces, crossed)  # type: ignore[no-untyped-call]
+        vertices, faces = subdivide(vertices, faces, crossed)  # type: ignore[no-untyped-call]  # of trimesh
 
 
 def paint_neighbours(image: LayeredImage, scene: Scene) -> None:
