@@ -117,8 +117,8 @@ def test_a_journal_or_folder_that_is_deleted_meanwhile_ends_the_run_with_a_sente
 
 def test_a_simulator_that_cannot_be_imported_ends_the_run_with_its_error_at_once(qdgrasp):
     (qdgrasp.home / "mujoco.py").write_text("raise ImportError('libGL.so.1 is not there')")
-    asked = ("run", "--gripper", "panda", "--object", "tennis_ball", "--workers", 1, "--out", "one")
-    done = qdgrasp(*asked, PYTHONPATH=str(qdgrasp.home))
+    asked = ("run", "--gripper", "panda", "--object", "tennis_ball", "--workers", 1)
+    done = qdgrasp(*asked, "--engine", "mujoco", "--out", "one", PYTHONPATH=str(qdgrasp.home))
     assert done.code == 2
     assert "The simulator does not start: ImportError: libGL.so.1 is not there" in done.err
     assert "started again" not in done.err
