@@ -239,7 +239,7 @@ class Scene(SurfacePoints, frozen=True, kw_only=True, forbid_unknown_fields=Fals
     gripper: SceneGripper
     object: SceneObject
     contact_slots: int = 0
-    """Contacts that a row has room for; 0: rows have no columns of the closed hand, as those of 0.1.0."""
+    """Contacts that a row has room for; 0: rows have no columns of the closed hand."""
     approach_distance: float = 0.0
     """Distance from which the open hand has to come along its approach axis, clear of the object [m]."""
     resting_poses: tuple[RestingPose, ...] = ()

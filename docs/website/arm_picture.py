@@ -21,7 +21,7 @@ from qdgrasp_tools.export.arm import Arm
 from qdgrasp_tools.export.grasp_reader import GraspChoice, read_run, select_grasps
 from qdgrasp_tools.export.grasp_table import to_matrices
 from qdgrasp_tools.rendering.ray_renderer import LayeredImage, RayMesh, fit_camera
-from qdgrasp_tools.rendering.views import CLAY, STEEL, paint_solid, rgb
+from qdgrasp_tools.rendering.views import CLAY, NEIGHBOUR, STEEL, paint_solid, rgb
 
 PANDA = Path(pybullet_data.getDataPath(), "franka_panda", "panda.urdf")
 VIEW, SIZE = np.radians((-60.0, 20.0)), (720, 560)  # Azimuth and elevation; columns and rows
@@ -42,9 +42,7 @@ def main(out: Path, run: Path, *base: float) -> None:
     root = to_matrices(np.array([[*base[:3], *from_euler(np.array([base[3:]]))[0]]]))[0]
     links = [(mesh, rgb(STEEL)) for mesh in link_meshes(robot, robot.forward(joints, root))]
     com = scene.object.com_in_mesh
-    around = [
-        (part.moved(com), np.array((0.55, 0.6, 0.65))) for part in parse_parts(scene.neighbours.decode())
-    ]
+    around = [(part.moved(com), rgb(NEIGHBOUR)) for part in parse_parts(scene.neighbours.decode())]
     bodies = [*links, (scene.object.mesh.moved(com), rgb(CLAY)), *around]
     points = np.concatenate([mesh.vertices for mesh, _ in bodies])
     image = LayeredImage(fit_camera(points, *VIEW, SIZE))

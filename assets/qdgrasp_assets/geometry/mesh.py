@@ -182,12 +182,11 @@ def named_groups(text: str, start: re.Pattern[str]) -> Iterator[tuple[dict[str, 
         elif start.match(line):
             groups.append((groups[-1][0] | {word: " ".join(values)}, []))
     points = np.array(vertices).reshape(-1, 3)
-    for names, group in groups:
-        used, local = np.unique(np.array(group, np.int64), return_inverse=True)
-        if group and (used[0] < 0 or used[-1] >= len(points)):
+    for names, group in [each for each in groups if each[1]]:
+        used, local = np.unique(group, return_inverse=True)
+        if used[0] < 0 or used[-1] >= len(points):
             raise ValueError("a face names a vertex that is not there")
-        if group:
-            yield names, Mesh(points[used], local.reshape(-1, 3))
+        yield names, Mesh(points[used], local.reshape(-1, 3))
 
 
 def parts_to_obj(parts: Iterable[Mesh]) -> bytes:
